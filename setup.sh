@@ -58,7 +58,9 @@ install_chromium() {
 # What the environment was made from: if this text is the same, there is nothing to install.
 fingerprint() {
   echo "$PWD $(.venv/bin/python -VV 2>&1)"
-  find pyproject.toml CMakeLists.txt core/radiant_core/native -type f -exec sha256sum {} + | sort -k 2
+  # The installation knows a module by its file: one that became a folder is looked for in vain.
+  find core viewer radiant_app radiant -name __init__.py | sort
+  find pyproject.toml CMakeLists.txt core/radiant_core/native benchmarks/native -type f -exec sha256sum {} + | sort -k 2
 }
 
 # pip leaves half a package behind when it is killed, so an environment whose installation did not end is made anew.

@@ -13,22 +13,22 @@ from numpy.typing import ArrayLike
 from rich.console import Console
 
 from radiant.scenes import Scene
-from radiant_app.commands.export import export as export_by_request
-from radiant_app.commands.export_request import ExportRequest
+from radiant_app.commands.export.export import export as export_by_request
+from radiant_app.commands.export.request import ExportRequest
 from radiant_app.events import Listener, StageDone, StageProgress, StageStarted, Warned
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored
-from radiant_app.workers.reporting import EventReporter
-from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.config import Join
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
 from radiant_core.choices import ExportFormat, LightMode
 from radiant_core.errors import BadInput
+from radiant_core.export.scene import save_spz
+from radiant_core.export.sog import save_sog
 from radiant_core.hierarchy.device import fit_prepared, prepare_training
 from radiant_core.hierarchy.messages import DeviceTask
-from radiant_core.io.export.scene import save_spz
-from radiant_core.io.export.sog import save_sog
 from radiant_core.io.model_reader import read_model
 from radiant_core.io.ply import save_ply
 from radiant_core.light.canonical import light_of_score
@@ -143,15 +143,14 @@ def join(
         BadInput: no model, or cameras of one name in two of them.
     """
     config, _ = fit_to_backend(train_preset("default"), resolve_backend("auto"), Overrides(long_side_px=long_side_px))
-    aggregate = aggregate_preset("default")
-    aggregate = replace(aggregate, num_epochs=aggregate.epochs_at_cloud if num_epochs is None else num_epochs)
+    rules = Join() if num_epochs is None else Join(num_epochs=num_epochs)
 
     def report(progress: TrainProgress) -> None:
         listen(StageProgress(stage="join", done=progress.step, total=progress.num_steps))
 
     listen(StageStarted(stage="join"))
     teachers = [Teacher(splats=splats, cameras=cameras.scaled(long_side_px)) for splats, cameras in models]
-    joined = join_models(teachers, config, aggregate, FitOptions(report=report))
+    joined = join_models(teachers, config, rules, FitOptions(report=report))
     listen(StageDone(stage="join", seconds=joined.trained.seconds))
     return joined.splats
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.commands.steps import reconstruct_into
+from radiant_app.commands.run.steps import reconstruct_into
 from radiant_app.events import Listener
 from radiant_app.workers.sources import captures_of, load_scored_scene, masks_folder_of, sfm_task
 from radiant_core.cameras import Cameras

@@ -93,6 +93,35 @@ class TimeLeft:
     after: str
 
 
+PHASES = ("placing photographs", "training", "joining", "refining", "scoring", "report")
+"""What every run goes through, in order: it passes those that it has no use for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Foreseen:
+    """Seconds of each of `PHASES` as predicted, if none had begun; a later event replaces it."""
+
+    phases_s: tuple[Amount, ...]
+    units: tuple[Number, ...]
+    """Phases of equal number here are predicted for the same machines, so that what one of them
+    took corrects the others first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunLeft:
+    """How far the whole run is: its first phase that is not over, and the time left of all."""
+
+    phase: str
+    number: Number
+    """Of the phase, from 1 to `num_phases`."""
+    num_phases: Number
+    elapsed_s: Amount
+    left_s: Amount | None = None
+    """Seconds left until the report stands; None where nothing is predicted yet."""
+    off_percent: Amount | None = None
+    """By how much of itself such an estimate was off in nine of ten measured cases."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class StageSkipped:
     """A stage was finished by an earlier run and its files are intact."""
@@ -134,7 +163,21 @@ class Heartbeat:
     stage: str
 
 
-Event = Heartbeat | Outlined | StageStarted | StageProgress | StageDone | MemoryPeaked | TimeLeft | StageSkipped | Warned | Decided | Failed
+Event = (
+    Heartbeat
+    | Outlined
+    | Foreseen
+    | RunLeft
+    | StageStarted
+    | StageProgress
+    | StageDone
+    | MemoryPeaked
+    | TimeLeft
+    | StageSkipped
+    | Warned
+    | Decided
+    | Failed
+)
 Listener = Callable[[Event], None]
 
 _TYPES: dict[str, Any] = {kind.__name__: kind for kind in get_args(Event)}

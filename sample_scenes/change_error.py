@@ -1,4 +1,5 @@
-"""Whether `radiant change` finds the houses that the generator altered, and none of the others.
+"""Whether `radiant measure --since` finds the houses that the generator altered, and none of the
+others.
 
     python sample_scenes/change_error.py EARLIER_RUN change.geojson --known FOLDER --houses FILE
 

@@ -22,10 +22,10 @@ import numpy as np
 import open3d as o3d
 
 from radiant_app.workers.sources import load_scored_scene
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.io.colmap.model import read_model
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.world import cameras_of
 from radiant_core.train.dense.fuse import thinned
 from radiant_core.train.dense.points import dense_points

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_app.commands.measure import accuracy_of, surface_for_measures
-from radiant_app.commands.survey_parts import load_survey
+from radiant_app.commands.survey.measure import accuracy_of, surface_for_measures
+from radiant_app.commands.survey.parts import load_survey
 from radiant_app.report.progress import terminal_display
 from radiant_core.survey.measures import measure
 from truth import load_truth

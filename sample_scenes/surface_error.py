@@ -22,12 +22,12 @@ from typing import Any, cast
 import numpy as np
 import open3d as o3d
 
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.geometry.surface import Surface, extract_surface, sharpen_opacities, trusted_depth
 from radiant_core.io.colmap.model import read_model
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.world import cameras_of
 from radiant_core.splats import Splats
 from radiant_viewer.runs.run_view import load_run_view, require_splats

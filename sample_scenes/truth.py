@@ -14,10 +14,10 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from radiant_core.frames import Sim3
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.io.colmap.model import read_model
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.world import cameras_of
 from scenegen.config import SceneConfig
 from scenegen.raycast import town_of

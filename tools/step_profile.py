@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch.profiler import ProfilerActivity, profile
 
-from radiant_app.commands.steps import training_part
+from radiant_app.commands.run.steps import training_part
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.records import load_scene

@@ -133,16 +133,3 @@ def match_planes(
 def sum_agreeing(
     planes: Sequence[NDArray[np.float32]], costs: NDArray[np.float32], cameras: NDArray[np.float64], limits: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]: ...
-def encode_places(
-    places: Tensor, table: Tensor, resolutions: Tensor, features: Tensor, num_threads: int = 1, instruction_set: str = ""
-) -> None: ...
-def grid_gradients(
-    places: Tensor,
-    table: Tensor,
-    resolutions: Tensor,
-    feature_gradients: Tensor,
-    table_gradients: Tensor,
-    place_gradients: Tensor,
-    num_threads: int = 1,
-    instruction_set: str = "",
-) -> None: ...

@@ -16,6 +16,8 @@ Matching = Literal["auto", "spatial", "exhaustive"]
 with its GPS neighbours; exhaustive: every pair."""
 MaskIgnores = Literal["black", "white", "nothing"]
 """Which colour of a mask leaves pixels out; nothing: no mask is used."""
+Panoramas = Literal["all", "none"]
+"""Which photographs are equirectangular panoramas, where their XMP does not say it rightly."""
 PlanMethod = Literal["exact", "paper", "paper-literal", "even", "voronoi", "kd"]
 """exact: least makespan; paper: the paper's Alg. 1 on power cells; paper-literal: Alg. 1 as
 written, with half-planes; even: equal counts per device; voronoi: nearest edge; kd: halves of equal

@@ -80,7 +80,7 @@ JOINING, REFINING = "joining", "refining"
 LIGHT, FILL_IN, SKY = "light", "points filled in", "sky"
 REPEATS, BLUR, LENGTH, EXTENT, SHAPES = "repeats", "blur", "length", "extent", "shapes"
 
-_EXPOSURES = f"from {100 * LIGHT_SPREAD:.0f} % on a gain per photograph and channel and a vignetting per camera are taken out"
+_EXPOSURES = f"from {100 * LIGHT_SPREAD:.0f} % on, a gain per photograph and channel and a vignetting per camera are removed"
 
 REGIMES: Mapping[str, tuple[Regime, ...]] = {
     PHOTOGRAPHS: (
@@ -290,7 +290,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
         Regime(
             row="blurred",
             evidence="9 px of motion: 27.62 dB for 27.35, 21.95 for 21.40, 32.29 for 31.41 (town, lewis, caliterra)",
-            reason=f"below {100 * SHARPNESS:.0f} % a photograph teaches its blur; one that alone shows a place is kept",
+            reason=f"below {100 * SHARPNESS:.0f} % a photograph teaches its blur; the only one that shows a place is kept",
         ),
     ),
     LENGTH: (
@@ -309,8 +309,8 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
         Regime(
             row="shapes-held",
             evidence=(
-                "needles held at 10 times: +0.13, +0.26, −0.09 dB (town, lewis, caliterra), −0.19 on a turntable of 90, "
-                "where sizes cost 0.34"
+                "needles held at 10 times: +0.13, +0.26, −0.09 dB (town, lewis, caliterra); thinner ones than a pixel at 10 "
+                "pixels: +0.35, +0.26 (90 of a façade, a turntable); sizes cost 0.34 on the turntable"
             ),
             reason="a shape shows in views it was not fitted to",
         ),

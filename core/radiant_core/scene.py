@@ -43,6 +43,12 @@ class SfmScene:
         seen = np.isin(self.observations[:, 1], camera_indices)
         return np.unique(self.observations[seen, 0])
 
+    def points_of_cameras(self) -> list[NDArray[np.int64]]:
+        """The points (K,) that each of the C cameras observes, in the order of `observations`."""
+        view = self.observations[:, 1]
+        ends = np.cumsum(np.bincount(view, minlength=len(self.cameras)))
+        return np.split(self.observations[np.argsort(view, kind="stable"), 0], ends[:-1])
+
     def observed_pixels(self, cameras: Cameras) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Rows (K,) of `observations` whose point projects into its image, and that pixel (K,2) as
         column and row; `cameras` are the scene's in the same order, at any resolution."""

@@ -15,6 +15,7 @@ import typer
 from radiant_app.cli.config_options import given_values, typed_options, with_config_options
 from radiant_app.cli.option_types import AsJson, Verbose
 from radiant_app.config.fields import config_of, with_settings
+from radiant_app.config.run_config import OUTPUT
 from radiant_app.report.tables import print_model, print_summary
 from radiant_core.errors import BadInput
 
@@ -34,16 +35,21 @@ def run(
             show_default=False,
         ),
     ],
-    settings: Annotated[list[str] | None, typer.Option("--set", help=_SET_HELP)] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out; finished stages are skipped.")] = False,
+    settings: Annotated[list[str] | None, typer.Option("--set", help=_SET_HELP, rich_help_panel=OUTPUT)] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out; finished stages are skipped.")] = False,
     verbose: Verbose = False,
     as_json: AsJson = False,
     **_: Any,
 ) -> None:
-    """Photographs in, one Gaussian model out: poses, plan, devices, edges, cloud, report.
+    """Turn photographs into one Gaussian model, with a report.
 
-    A RUN.toml holds these options in sections, and options beside it win. A JOBS.toml runs several
-    scenes, goes on after a failure and ends with a summary (keys: radiant_app/files/job_file.py).
+    radiant run PHOTOS --out RUN
+    radiant run PHOTOS --out RUN --system system.toml
+    radiant run PHOTOS --out RUN --resume
+
+    A RUN.toml holds these options in sections; options typed beside it win. A JOBS.toml runs
+    several scenes, continues after a failure and ends with a summary (keys:
+    radiant_app/files/job_file.py).
     """
     from radiant_app.files.job_file import is_job_file, load_run_file
 
@@ -57,11 +63,15 @@ def run(
 
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder of the run.")] = Path("demo_run"),
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted demo.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted demo.")] = False,
     verbose: Verbose = False,
 ) -> None:
-    """The whole job on the sample town that comes with the project: some minutes on two cores."""
-    from radiant_app.commands.demo import demo_config
+    """Run the whole job on the sample town: some minutes on two cores.
+
+    radiant demo
+    radiant demo --out my_demo
+    """
+    from radiant_app.commands.run.demo import demo_config
 
     run_and_print(demo_config(out), resume or out.exists(), as_json=False, verbose=verbose)
 
@@ -88,14 +98,14 @@ def run_and_print(config: RunConfig, resume: bool, as_json: bool, *, verbose: bo
         emulated, planned = (result.metrics[f"{kind}_makespan_s"] for kind in ("emulated", "planned"))
         typer.echo(f"emulated: the last edge's model arrived after {emulated:.1f} s, planned {planned:.1f} s")
     if result.metrics.get("emulated_scene_s") is not None:
-        typer.echo(f"emulated: the scene was done after {result.metrics['emulated_scene_s']:.1f} s")
+        typer.echo(f"emulated: the scene was finished after {result.metrics['emulated_scene_s']:.1f} s")
     hidden = 0 if verbose else listen.num_decisions
     typer.echo(f"report: {result.report}{f' ({hidden} decisions; -v prints them here)' * (hidden > 0)}")
     typer.echo(f"next: radiant inspect {quote(str(config.out))}")
 
 
 def _run_batch(context: typer.Context, source: Path, resume: bool, as_json: bool, *, verbose: bool) -> None:
-    from radiant_app.commands.batch import run_batch
+    from radiant_app.commands.run.batch import run_batch
 
     typed = typed_options(context)
     if extra := sorted(option for name, option in typed.items() if name not in ("source", "out", "resume", "as_json", "verbose")):

@@ -1,4 +1,4 @@
-"""The options of `radiant change` and `radiant measure`; heavy libraries are imported inside."""
+"""The options of `radiant measure`; heavy libraries are imported inside, as in `cli.app`."""
 
 from __future__ import annotations
 
@@ -8,54 +8,73 @@ from typing import Annotated, Any
 
 import typer
 
+from radiant_app.cli.config_options import typed_options
 from radiant_app.cli.option_types import AsJson
 from radiant_app.report.tables import finish
 from radiant_core.choices import MeasureKind
+from radiant_core.errors import BadInput
 
-
-def change(
-    older: Annotated[Path, typer.Argument(help="The earlier run, or folder of `radiant train`.", show_default=False)],
-    newer: Annotated[Path, typer.Argument(help="The later one, of the same ground.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", help="New folder of change.tif, change.geojson and report.html.", show_default=False)],
-    resolution: Annotated[float | None, typer.Option(min=1e-6, help="Metres of a cell, else two pixels of the photographs.")] = None,
-    min_area: Annotated[
-        float | None, typer.Option(help="Square metres of the smallest patch, else 600 square pixels of the ground.")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """What changed between two dates, in height and colour: a layer, patches and a page."""
-    from radiant_app.report.progress import show_starting, terminal_display
-
-    with show_starting():
-        from radiant_app.commands.change import ChangeRequest
-        from radiant_app.commands.change import change as compare
-
-    request = ChangeRequest(older=older, newer=newer, out=out, resolution=resolution, min_area=min_area)
-    finish(compare(request, terminal_display()), as_json)
+_CHANGE = "Change between two dates"
 
 
 def measure(
+    context: typer.Context,
     run: Annotated[Path, typer.Argument(help="A run, or folder of `radiant train`.", show_default=False)],
-    kind: Annotated[MeasureKind | None, typer.Option(help="What to measure; without it, what is kept is listed.")] = None,
-    at: Annotated[str | None, typer.Option(help='Places on the map: "east,north east,north …", each with a height or none.')] = None,
-    name: Annotated[str | None, typer.Option(help="Name to keep it by, else its kind and a number.")] = None,
-    base: Annotated[float | None, typer.Option(help="Height of a volume's level base, else the plane through its corners.")] = None,
-    resolution: Annotated[float | None, typer.Option(min=1e-6, help="Metres of a cell of the surface, else two pixels.")] = None,
-    remove: Annotated[str | None, typer.Option(help="Name of a measure to take out.")] = None,
-    export: Annotated[Path | None, typer.Option(help="Write all that is kept as .geojson or .csv.")] = None,
+    kind: Annotated[MeasureKind | None, typer.Option(help="What to measure; without it, the saved measures are listed.")] = None,
+    at: Annotated[str | None, typer.Option(help='Places on the map: "east,north east,north …", each with or without a height.')] = None,
+    name: Annotated[str | None, typer.Option(help="Name to save it under; by default its kind and a number.")] = None,
+    base: Annotated[float | None, typer.Option(help="Height of a volume's level base; by default the plane through its corners.")] = None,
+    resolution: Annotated[float | None, typer.Option(min=1e-6, help="Metres of a cell of the surface; by default two pixels.")] = None,
+    remove: Annotated[str | None, typer.Option(help="Name of a saved measure to delete.")] = None,
+    export: Annotated[Path | None, typer.Option(help="Write all saved measures as .geojson or .csv.")] = None,
+    since: Annotated[
+        Path | None,
+        typer.Option(help="An earlier run of the same ground, to find what has changed since.", rich_help_panel=_CHANGE),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="New folder for change.tif, change.geojson and report.html.", rich_help_panel=_CHANGE),
+    ] = None,
+    min_area: Annotated[
+        float | None,
+        typer.Option(help="Square metres of the smallest patch; by default 600 square pixels of the ground.", rich_help_panel=_CHANGE),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Distances, heights, areas, volumes and profiles with their σ, kept with the run."""
+    """Measure distances, areas, volumes and change, with σ.
+
+    Measures are saved with the run.
+
+    radiant measure RUN --kind volume --at "0,0 30,0 30,20" --name heap
+    radiant measure RUN --since EARLIER_RUN --out changed
+    """
     from radiant_app.report.progress import show_starting, terminal_display
 
+    _require_one_question(typed_options(context))
     with show_starting():
-        from radiant_app.commands.measure import MeasureRequest, measure_run
+        from radiant_app.commands.survey.change import ChangeRequest, change
+        from radiant_app.commands.survey.measure import MeasureRequest, measure_run
 
+    if since is not None and out is not None:
+        compared = ChangeRequest(older=since, newer=run, out=out, resolution=resolution, min_area=min_area)
+        return finish(change(compared, terminal_display()), as_json)
     request = MeasureRequest(run=run, kind=kind, places=at, name=name, base=base, resolution=resolution, remove=remove, export=export)
     result = measure_run(request, terminal_display())
     if as_json:
         return finish(result, as_json)
     return finish(dict(_lines(result)), as_json)
+
+
+def _require_one_question(typed: dict[str, str]) -> None:
+    """Raise BadInput where options of a measure stand beside those of a change."""
+    of_change = [option for name, option in typed.items() if name in ("since", "out", "min_area")]
+    others = [option for name, option in typed.items() if name in ("kind", "at", "name", "base", "remove", "export")]
+    if of_change and others:
+        raise BadInput(f"{of_change[0]} is for change between two dates and {others[0]} for a measure: leave one of them out.")
+    if of_change and "since" not in typed:
+        raise BadInput(f"{of_change[0]} is for change between two dates: name the earlier run with --since.")
+    if of_change and "out" not in typed:
+        raise BadInput("--out is missing: name a new folder for what has changed.")
 
 
 def _lines(result: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -12,6 +12,7 @@ import ast
 import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
+from difflib import get_close_matches
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -25,8 +26,8 @@ from radiant_core.errors import BadInput
 PRESET = "preset"
 """Not a field of `RunConfig`: a name for the values of several."""
 _PRESET_HELP = (
-    "paper: all as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud retrain all "
-    "parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. A single option given beside it wins."
+    "paper: everything as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud "
+    "retrain all parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. An option beside it wins."
 )
 
 
@@ -47,6 +48,11 @@ class ConfigField:
         """What the command line calls it."""
         leaf = self.path.rpartition(".")[2].replace("_", "-")
         return f"--set {self.path}" if self.option is None else self.option.name or f"--{leaf}"
+
+    @property
+    def typed_name(self) -> str:
+        """The option's name as a key would have it."""
+        return self.option_name.rpartition(" ")[2].lstrip("-").replace("-", "_")
 
     @property
     def is_path(self) -> bool:
@@ -209,7 +215,7 @@ def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: st
         path = path.strip().replace("-", "_")
         field = config_fields().get(path)
         if not equals or field is None or not path.startswith(section):
-            raise BadInput(f"--set {text!r} sets nothing: {_instead(path, section)}.")
+            raise BadInput(f"--set {text!r} sets nothing: {_instead(path, section)}")
         if path in values:
             other = f", once as {field.option_name}" if path in given else ""
             raise BadInput(f"--set {path} is given twice{other}: keep one of them.")
@@ -220,17 +226,26 @@ def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: st
 def _unknown_key(path: str, value: Any, kind: str) -> str:
     if any(known.startswith(f"{path}.") for known in config_fields()):
         return f"{path} is {value!r}, expected a section, [{path}]."
-    return f"{path} is not a key of a {kind}: {_instead(path, expected='expected')}."
+    sections = {known.rpartition(".")[0] for known in config_fields()} - {""}
+    if isinstance(value, dict) and (near := get_close_matches(path, sections, 1)):
+        return f"{path} is not a section of a {kind}: did you mean [{near[0]}]?"
+    return f"{path} is not a key of a {kind}: {_instead(path, expected='expected')}"
 
 
 def _instead(path: str, section: str = "", expected: str = "expected PATH=VALUE with") -> str:
-    """What to write in place of an unknown path: the path of a bare name, else what there is."""
+    """What to write in place of an unknown path: the path of a bare or an option's name, that of
+    one spelled alike, else what there is."""
     paths = [known for known in config_fields() if known.startswith(section)]
     if path in paths:
-        return f"expected {path}=VALUE"
-    meant = [known for known in paths if known.endswith(f".{path.rpartition('.')[2]}")]
+        return f"expected {path}=VALUE."
+    leaf = path.rpartition(".")[2]
+    meant = [known for known in paths if known.rpartition(".")[2] == leaf]
     if meant:
-        return f"use {' or '.join(meant)}"
+        return f"use {' or '.join(meant)}."
+    alike = {known.rpartition(".")[2]: known for known in paths} | {config_fields()[known].typed_name: known for known in paths}
+    near = get_close_matches(path, paths, 1, 0.87) or [alike[name] for name in get_close_matches(leaf, alike, 1, 0.8)]
+    if near:
+        return f"did you mean {near[0]}?"
     own = [known for known in paths if known.startswith(f"{path.partition('.')[0]}.")]
     sections = dict.fromkeys(known if "." not in known else f"{known.partition('.')[0]}.…" for known in paths)
-    return f"{expected} one of {', '.join(own or sections)}"
+    return f"{expected} one of {', '.join(own or sections)}."

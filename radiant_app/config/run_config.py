@@ -26,6 +26,7 @@ from radiant_core.choices import (
     LpipsNetwork,
     MaskIgnores,
     Matching,
+    Panoramas,
     PlanMethod,
     StepPolicy,
     TrainedAs,
@@ -52,6 +53,18 @@ MAX_SEED = 2**31 - 1
 """What numpy, torch and COLMAP all take."""
 MAX_DEVICES = 1_000
 """Devices that one machine is divided into; each is a process of its own."""
+FIRST, PLACE, JOINING, OUTPUT = "Options", "Scale, direction and ground control", "Joining models", "Settings and output"
+GROUPS = {
+    "sfm": "Photographs and poses",
+    "plan": "Plan and machines",
+    "train": "Training",
+    "aggregate": JOINING,
+    "evaluate": "Scores",
+    "execution": "Processes, clusters and networks",
+    "": OUTPUT,
+}
+"""Section of `RunConfig` → heading of its options in the help, but for those most runs need
+(`FIRST`) and those that place a scene (`PLACE`)."""
 
 RUN_PRESETS: dict[RunPreset, dict[str, str]] = {
     "default": {},
@@ -94,6 +107,8 @@ class Option:
     """The default as the help shows it."""
     parse: Callable[[str], Any] | None = None
     """Makes the value of what a user types; None: it is typed as it is."""
+    group: str | None = None
+    """Heading that it stands under in the help; None: that of its section."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,55 +126,57 @@ class SfmOptions:
     """How cameras are placed."""
 
     matching: Matching = "auto"
-    """Compare neighbours by GPS, or all photographs with all."""
+    """Compare neighbours by GPS (spatial), or every pair (exhaustive)."""
     effort: Effort = "auto"
-    """auto: leave out what photographs that overlap well do not need; thorough: COLMAP's features,
-    all pairs of neighbours and COLMAP's adjustments, in some three times as long."""
+    """auto: skip what photographs with good overlap do not need; thorough: COLMAP's features, all
+    pairs of neighbours and COLMAP's adjustments, in about three times the time."""
     poses: Annotated[Path | None, Option(metavar="FILE", shown="what lies beside the photographs")] = None
     """Alignment to use: a COLMAP model's folder, or a file of another program
     (docs/begun_elsewhere.md); none: photographs are placed anew."""
     refine_poses: Annotated[bool, Option(name="--refine-poses")] = False
-    """Adjust rough poses of an alignment to its photographs, in the frame that it has."""
+    """Adjust the rough poses of an alignment to its photographs, in its frame."""
     masks: Path | None = None
-    """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, black is ignored. Without
-    it masks/ beside the photographs, if its names are theirs."""
-    mask_ignores: Annotated[MaskIgnores | None, Option(shown="black, asked where that is most")] = None
-    """Colour of a mask that is left out of a photograph; nothing: masks/ is not used."""
+    """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, black is ignored; by
+    default masks/ beside the photographs, if the names match."""
+    mask_ignores: Annotated[MaskIgnores | None, Option(shown="black; asks where that is most of a mask")] = None
+    """Colour that a mask leaves out of a photograph; nothing: masks/ is not used."""
     film_frames: Annotated[int | None, Option(shown="by motion, 400 at most")] = None
-    """About how many frames of a film become photographs: the sharpest of stretches in which the
-    picture moves equally far."""
-    up: Annotated[str | None, Option(shown="auto")] = None
-    """auto: by GPS, else by what ground and cameras show. Or: ground (the plane through most points
-    is level), level (photographs were held level), down (they look straight down), a photograph's
-    name (its top edge is up), or x,y,z in the frame of a COLMAP project. Goes before GPS."""
-    distance: Annotated[str | None, Option(metavar="PHOTO,PHOTO,METRES")] = None
-    """How far apart two photographs were taken: makes lengths metres. Goes before GPS."""
-    height_m: Annotated[float | None, Option(name="--height")] = None
-    """Metres of the cameras over the ground, median: makes lengths metres. Goes before GPS."""
+    """Roughly how many frames of a film become photographs: the sharpest of each stretch of equal
+    motion."""
+    panoramas: Annotated[Panoramas | None, Option(shown="those whose XMP says so")] = None
+    """Treat all photographs as equirectangular panoramas and cut them into faces, or none."""
+    up: Annotated[str | None, Option(shown="auto", group=PLACE)] = None
+    """auto: from GPS, else from ground and cameras. Or: ground (the plane through most points is
+    level), level (the camera was held level), down (it looked straight down), a photograph's name
+    (its top edge is up), or x,y,z in the frame of a COLMAP project. Overrides GPS."""
+    distance: Annotated[str | None, Option(metavar="PHOTO,PHOTO,METRES", group=PLACE)] = None
+    """Distance between the cameras of two photographs; sets the scale and overrides GPS."""
+    height_m: Annotated[float | None, Option(name="--height", group=PLACE)] = None
+    """Median height of the cameras above ground in metres; sets the scale and overrides GPS."""
 
-    north: Annotated[str | None, Option(metavar="PHOTO,DEGREES")] = None
-    """Where a photograph looks, clockwise from north (of one that looks down, where its top edge
-    points), where GPS does not say."""
-    gcp: Annotated[Path | None, Option(metavar="FILE")] = None
-    """Ground control, as OpenDroneMap's gcp_list.txt: the system (EPSG:…, LOCAL), then lines of
-    east north up column row photograph name. All photographs are adjusted to it."""
-    gcp_accuracy: Annotated[str | None, Option(metavar="METRES[,METRES]", shown="0.02")] = None
+    north: Annotated[str | None, Option(metavar="PHOTO,DEGREES", group=PLACE)] = None
+    """Direction a photograph looks in, clockwise from north, where GPS gives none; of one that
+    looks down, the direction of its top edge."""
+    gcp: Annotated[Path | None, Option(metavar="FILE", group=PLACE)] = None
+    """Ground control points as in OpenDroneMap's gcp_list.txt: the system (EPSG:…, LOCAL), then
+    lines of east north up column row photograph name. All photographs are adjusted to them."""
+    gcp_accuracy: Annotated[str | None, Option(metavar="METRES[,METRES]", shown="0.02", group=PLACE)] = None
     """Standard deviation of the coordinates of ground control; two: horizontal, vertical."""
-    check_points: Annotated[str | None, Option(metavar="NAMES|every:K")] = None
-    """Points kept out of the adjustment, whose errors the report shows; in the list, the word check
-    behind a name."""
-    require_grids: Annotated[bool, Option(name="--require-grids")] = False
-    """Refuse ground control in a system whose best transformation lacks a grid; else a warning
-    tells the metres."""
+    check_points: Annotated[str | None, Option(metavar="NAMES|every:K", group=PLACE)] = None
+    """Points left out of the adjustment, with errors in the report; also marked by the word check
+    behind a name in the list."""
+    require_grids: Annotated[bool, Option(name="--require-grids", group=PLACE)] = False
+    """Refuse ground control in a system whose best transformation lacks a grid; by default a
+    warning gives the error in metres."""
 
-    contradictions: Contradictions = "stop"
-    """Where --gcp, --distance, --height, --north or --up and the photographs' GPS differ by more
-    than GPS can be off: stop, or warn and go by what is given here."""
+    contradictions: Annotated[Contradictions, Option(group=PLACE)] = "stop"
+    """Where --gcp, --distance, --height, --north or --up differ from the photographs' GPS by more
+    than its error: stop, or warn and use what is given here."""
 
     @property
     def intake(self) -> Intake:
         """What is made of the source's files before structure from motion."""
-        return Intake(mask_ignores=self.mask_ignores, film_frames=self.film_frames)
+        return Intake(mask_ignores=self.mask_ignores, film_frames=self.film_frames, panoramas=self.panoramas)
 
     @property
     def placed_by_hand(self) -> bool:
@@ -191,27 +208,28 @@ class PlanOptions:
     """Which edge and device takes which photographs."""
 
     method: Annotated[PlanMethod, Option(name="--plan-method")] = "exact"
-    """exact: least makespan; paper: Alg. 1 on power cells, paper-literal: as written; even;
-    voronoi; kd: halves of equal counts."""
+    """exact: least makespan; paper: Alg. 1 on power cells; paper-literal: Alg. 1 as written; even:
+    equal counts; voronoi: nearest edge; kd: halves of equal counts."""
     file: Annotated[Path | None, Option(name="--plan")] = None
-    """Plan made by `radiant plan` before capture; else what was captured is planned."""
+    """Plan that `radiant plan` made before capture; by default the photographs are planned."""
     cut_by: CutBy = "auto"
-    """positions: regions and strips are cut where cameras stand; looks: at what they look at; auto:
-    at that where it makes devices see clearly more of their own strips."""
+    """Cut regions and strips where cameras stand (positions) or where they look (looks); auto:
+    where they look if devices then see clearly more of their strips."""
     devices: Annotated[DevicesUsed | int, Option(metavar="auto|all|N", shown="auto", parse=_devices_of)] = "auto"
-    """auto: of a system, the fastest devices alone where one owner's photographs are few, which was
-    better in six of seven cells; without one, this machine as one device where memory holds all
-    photographs. all: every device, as gps and known do anyway. N: this machine as so many."""
+    """auto: with a system, only the fastest devices where one owner has few photographs, better in
+    six of seven cells; without, this machine as one device where memory holds all photographs. all:
+    every device, always so with gps and known. N: this machine as N devices."""
     within_edge: TrainedAs = "auto"
-    """together: the devices of an edge train one model and add up gradients in every step; joined:
-    each trains its own; auto: together where that is predicted to take at most twice as long."""
+    """together: the devices of an edge train one model and sum gradients in every step; joined:
+    each trains a model; auto: together if that is predicted to take at most twice the time."""
     between_edges: TrainedAs = "auto"
-    """The same for the devices of all edges, whose edges exchange through the cloud."""
+    """The same for the devices of all edges; edges exchange through the cloud."""
     mask_gradients: bool = False
-    """Devices that train together add masks that cancel in their edge's sum, so that it sees none
-    of them alone, for about 9 times the bytes up; it trains with all its devices or stops."""
+    """Devices that train together add masks that cancel in their edge's sum, so the edge sees no
+    single gradient; about 9 times the upload, and training stops if one device is lost."""
     raster_cell_m: Annotated[float | None, Option(min=0)] = None
-    """The cloud plans from counts in cells of so many metres; 0: from positions. gps, known: 5."""
+    """Plan from photograph counts in cells of this many metres; 0: from positions. By default 5
+    with gps and known."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, PaperConfig), fixed=("max_iterations",))] = field(
         default_factory=dict
     )
@@ -253,18 +271,18 @@ class TrainOptions:
         BadInput: no such preset or setting, or a value that the setting cannot have.
     """
 
-    preset: Annotated[Preset, Option(name="--train-preset")] = "default"
+    preset: Annotated[Preset, Option(name="--train-preset", group=FIRST)] = "default"
     """draft: quick; standard: 3DGS, its schedule scaled to the steps and, on a CPU, with 200,000
     Gaussians at most; paper: its 20,000 steps."""
     long_side_px: Annotated[int | None, Option(min=16)] = None
     """Long side of the training images."""
     num_steps: Annotated[int | None, Option(name="--steps", min=1)] = None
-    """Training steps of a device; of several, their mean."""
+    """Training steps per device, the mean over devices."""
     max_num_splats: Annotated[int | None, Option(name="--max-splats", min=100)] = None
-    """Upper limit of Gaussians of a device."""
+    """Maximum Gaussians per device."""
     step_policy: StepPolicy = "per_photograph"
-    """per_photograph: each device's steps follow its photographs, --steps being the mean of all
-    devices; fixed: each takes as many."""
+    """per_photograph: steps in proportion to a device's photographs, with --steps as the mean;
+    fixed: the same for each."""
     settings: Annotated[Mapping[str, Any], SettingsOf(types=setting_types, fixed=(*SIZES, "seed"))] = field(default_factory=dict)
     """Path of a field of `TrainConfig` → its value."""
 
@@ -308,7 +326,7 @@ class EvaluateOptions:
     """What the scene is scored with beside PSNR, SSIM and FLIP; may change on resuming."""
 
     lpips_weights: Path | None = None
-    """Weights for LPIPS: a folder with torchvision's backbone and lpips' heads, or one file."""
+    """LPIPS weights: a folder with torchvision's backbone and lpips' heads, or one file."""
     lpips_network: Annotated[LpipsNetwork, Option(name="--lpips-net")] = "vgg"
     """Network of LPIPS: VGG16 or AlexNet."""
 
@@ -320,12 +338,12 @@ class ExecutionOptions:
     max_workers: Annotated[int, Option(name="--workers", min=0)] = 0
     """Processes at a time; 0: one per core."""
     executor: ExecutorName = "local"
-    """local: processes here; ray: tasks of one owner's cluster; network: machines of others, SOURCE
-    being the folder of this machine's node."""
+    """local: processes here; ray: one owner's cluster; network: machines of several owners, with
+    this machine's node folder as SOURCE."""
     address: str | None = None
     """ray: host:port of the cluster's head, or local."""
     deadline_factor: Annotated[float, Option(min=0)] = 10.0
-    """Give up who takes so many times its time; 0: never."""
+    """Drop a node that takes this many times its planned time; 0: never."""
     checkpoint_every_s: Annotated[float, Option(name="--checkpoint-every", parse=seconds_of, shown="10s")] = 10.0
     """Time between two checkpoints of a training."""
 
@@ -356,20 +374,21 @@ class RunConfig:
     source: Path
     """Photographs, with an alignment beside them or without, a COLMAP project (images/ and
     sparse/), or a Mill 19 folder."""
-    out: Path
-    """Folder of the run, new or empty; a batch has one beside its file."""
-    system: Path | None = None
-    """TOML of edges and devices; else this machine is the only device, or two edges with two
-    devices each where photographs lie in folders of devices, or a plan, another method of dividing,
-    the paper's preset or a cluster is asked for."""
-    emulate: Path | None = None
-    """System whose speeds and uplinks are played on this machine."""
-    frames: Frames = "shared"
-    """shared: photographs are pooled; gps, known: each device places its own."""
+    out: Annotated[Path, Option(group=FIRST)]
+    """Folder for the run, new or empty; a batch writes beside its file."""
+    system: Annotated[Path | None, Option(group=FIRST)] = None
+    """TOML of edges and devices (docs/system_files.md). By default this machine is the only device;
+    it stands in for two edges with two devices each if photographs lie in folders of devices, or
+    with --plan, --plan-method, --preset paper or --executor ray."""
+    emulate: Annotated[Path | None, Option(group=GROUPS["execution"])] = None
+    """System file whose speeds and uplinks are emulated on this machine."""
+    frames: Annotated[Frames, Option(group=FIRST)] = "shared"
+    """shared: photographs are pooled; gps, known: each device keeps its photographs and places them
+    by GPS or by known poses."""
     single_owner: bool = False
-    """Collect the devices' comparison pictures in the run."""
-    upload: UploadFormat = "float16"
-    """What devices and edges send: exact, half the bytes, or a fifth."""
+    """Copy the devices' comparison pictures into the run."""
+    upload: Annotated[UploadFormat, Option(group=JOINING)] = "float16"
+    """Format that devices and edges send: exact, half the bytes, or a fifth."""
     seed: Annotated[int, Option(min=0, max=MAX_SEED)] = 0
     """Seed of every random choice."""
     sfm: SfmOptions = SfmOptions()
@@ -434,7 +453,7 @@ class RunConfig:
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
         if self.frames != "shared" and (self.sfm.masks is not None or self.sfm.intake != AS_FOUND):
-            asked = "--masks, --mask-ignores and --film-frames are of photographs in one place"
+            asked = "--masks, --mask-ignores, --film-frames and --panoramas are of photographs in one place"
             raise BadInput(f"{asked}, and with --frames {self.frames} devices keep theirs: leave them out, or use --frames shared.")
         if self.frames != "shared" and self.sfm.placed_by_hand:
             reason = "--up, --north, --distance, --height and --gcp place one scene"

@@ -329,7 +329,7 @@ class Fold:
                 return
         if not running.warned and (reason := deadlines.overdue_reason(node_id, running.counted_s)) is not None:
             running.warned = True
-            self.listen(Warned(stage=running.task.stage, message=f"{reason}; it goes on."))
+            self.listen(Warned(stage=running.task.stage, message=f"{reason}; it continues."))
 
     def _give_up(self, running: _Running, ended: NodeEnded) -> None:
         if running.given_up is None:

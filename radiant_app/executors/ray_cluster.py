@@ -40,7 +40,7 @@ from radiant_app.interrupts import defer_interrupts
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.extras import require_extra
-from radiant_core.io.messages import task_setting
+from radiant_core.hierarchy.codec import task_setting
 from radiant_core.io.run_store import SEAL_NAME, file_sha256
 
 SEEN_S = 20.0

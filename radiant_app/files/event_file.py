@@ -23,6 +23,7 @@ from radiant_app.events import (
     Failed,
     Listener,
     Outlined,
+    RunLeft,
     StageDone,
     StageProgress,
     StageSkipped,
@@ -32,7 +33,7 @@ from radiant_app.events import (
     decode,
     encode,
 )
-from radiant_app.report.pace import clock_text
+from radiant_app.pace import clock_text
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import LOCK_NAME
 
@@ -89,18 +90,27 @@ class EventFile:
 
 def read_progress(run: Path) -> RunProgress:
     """Read the progress of a run from events and manifest; BadInput for a file of anything else."""
-    from radiant_viewer.runs.run_feeds import LossCurve, RunProgress
+    from radiant_viewer.runs.run_feeds import LossCurve, RunProgress, WholeRunState
 
     path = run / EVENTS_NAME
     stages: dict[str, StageState] = {}
     losses: dict[str, list[tuple[float, float]]] = {}
     warnings: list[str] = []
-    seconds_left, outline = None, Outlined(stages=())
+    seconds_left, outline, whole = None, Outlined(stages=()), None
     for event in _events(path):
         if isinstance(event, Warned):
             warnings.append(f"{event.stage}: {event.message}")
         elif isinstance(event, TimeLeft):
             seconds_left = event.seconds
+        elif isinstance(event, RunLeft):
+            whole = WholeRunState(
+                phase=event.phase,
+                number=event.number,
+                num_phases=event.num_phases,
+                elapsed_s=event.elapsed_s,
+                left_s=event.left_s,
+                off_percent=event.off_percent,
+            )
         elif isinstance(event, Outlined):
             outline = event
         elif (state := _next_state(event)) is not None:
@@ -119,6 +129,7 @@ def read_progress(run: Path) -> RunProgress:
         expected=outline.stages,
         warnings=tuple(warnings),
         seconds_left=seconds_left,
+        whole=whole,
         is_running=is_running,
         status=status,
         losses=tuple(LossCurve(stage=stage, points=tuple(points)) for stage, points in losses.items() if len(points) > 1),
@@ -126,7 +137,8 @@ def read_progress(run: Path) -> RunProgress:
 
 
 def _count_loss(event: Event, losses: dict[str, list[tuple[float, float]]]) -> None:
-    """Add the loss that trainings tell in their note; a stage that begins anew begins its curve."""
+    """Add the loss that trainings tell in their note; a stage that begins again begins its
+    curve."""
     if isinstance(event, StageStarted):
         losses.pop(event.stage, None)
     if not isinstance(event, StageProgress) or not event.total > 0 or (told := LOSS.search(event.note)) is None:

@@ -1,8 +1,9 @@
-"""Curve files: the profile of a machine, written by `radiant profile`, named by system files.
+"""Curve files: the profile of a machine, written by `radiant machine profile`, named by system
+files.
 
     kind = "measured"                    # or "estimate", which every plan says
     machine = "workstation, 8 threads"
-    source = "radiant profile on 53 photographs"
+    source = "radiant machine profile on 53 photographs"
     memory_gb = 12.0                     # what training may hold; left out: unknown
     frames_s = 8.0                       # two models into one frame, of which GPS is unsure
     frames_alone_s = 6.0                 # the same with no process beside it, as at the cloud
@@ -220,7 +221,7 @@ def _drop_none(record: dict[str, Any]) -> dict[str, Any]:
 
 def _toml(record: dict[str, Any]) -> str:
     """Tables of text, numbers and lists, which JSON writes as TOML does: 1e-05 is valid in both."""
-    lines = ["# Cost curves of one machine, for `profile` in a system file; written by `radiant profile`."]
+    lines = ["# Cost curves of one machine, for `profile` in a system file; written by `radiant machine profile`."]
     lines += [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in record.items() if not isinstance(value, dict)]
     for name, table in record.items():
         if isinstance(table, dict):

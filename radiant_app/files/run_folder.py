@@ -35,6 +35,8 @@ EARLIER = (
     "stays readable"
 )
 """Why a folder can be looked at and not resumed."""
+PLANNING_FOLDER = "planning"
+"""Of a cloud that plans by counts of its devices: in a run's folder, and the stage's name."""
 SFM_TASK = "task.json"
 """What `radiant sfm` was asked for, beside its work."""
 ALL_DEVICES = {"devices": "all"}

@@ -41,18 +41,19 @@ half as fast in both has relative_speed and speed 0.5.
 
     [training]                           # which the costs hold for, where they were a profile's:
     preset = "default"                   # written by runs and plans, so that what joins by
-    num_steps = 1500                     # `radiant replan --join` is taken for the same
+    num_steps = 1500                     # `radiant plan --join` is taken for the same
     long_side_px = 576
     max_num_splats = 200000
 
 In place of costs, a device, an edge or the cloud may have profile = "rtx-3090" of the library
-(`radiant profile --list`) or profile = "mine.toml", a curve file of `radiant profile` relative to
-this one: its costs and, where the file says none, its memory come from there. A profile's training
-is taken at the steps that a run gives so many photographs; `train_s` that stands here is believed
-as it is. An edge may also have aggregate_alone_s: what it costs where one device has all its
-cameras, so that nothing is retrained. Where a run or plan writes its system, the costs stand there
-as numbers, and costs_from names their profile: "measured mine.toml", "estimate rtx-3090"; what
-profiles know beside (structure from motion, frames by GPS) stands there as far as it was in them.
+(`radiant machine profile --list`) or profile = "mine.toml", a curve file of `radiant machine
+profile` relative to this one: its costs and, where the file says none, its memory come from there.
+A profile's training is taken at the steps that a run gives so many photographs; `train_s` that
+stands here is believed as it is. An edge may also have aggregate_alone_s: what it costs where one
+device has all its cameras, so that nothing is retrained. Where a run or plan writes its system, the
+costs stand there as numbers, and costs_from names their profile: "measured mine.toml", "estimate
+rtx-3090"; what profiles know beside (structure from motion, frames by GPS) stands there as far as
+it was in them.
 
 For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model
 sent) and `max_cameras` in place of devices, uplink and aggregate_s: the cloud plans its region, and

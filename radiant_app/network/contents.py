@@ -20,14 +20,14 @@ from radiant_app.events import Decided, Warned
 from radiant_app.network.kinds import MAX_SMALL_BYTES, NOTES_NAME, REPORT_NAME
 from radiant_app.network.messages import DevicesReport
 from radiant_app.network.reception import plain_text
+from radiant_app.reporting import read_notes
+from radiant_app.strangers import WRONG, Told, parse_record
 from radiant_app.workers.inbox import CORRECTIONS_NAME, REFUSED_NAME, load_corrections
 from radiant_app.workers.rasters import Raster, count_of, raster_of
-from radiant_app.workers.reporting import read_notes
 from radiant_app.workers.scores import Scores, scores_of
-from radiant_app.workers.strangers import WRONG, Told, parse_record
 from radiant_core.aggregate.arrival import MAX_SPLATS
 from radiant_core.errors import BadInput
-from radiant_core.io.messages import (
+from radiant_core.hierarchy.codec import (
     CAMERAS_NAME,
     FRAME_NAME,
     MAX_UNCERTAINTY,

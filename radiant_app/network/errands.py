@@ -24,7 +24,7 @@ from radiant_app.network.home import Home, Invitation
 from radiant_app.network.kinds import remove_earlier, task_problem
 from radiant_app.network.line import Withdrawn
 from radiant_app.network.reception import MAX_EVENT_CHARS, MAX_EVENTS, Ended, plain_text
-from radiant_app.workers.strangers import Told, parse_record
+from radiant_app.strangers import Told, parse_record
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, disk_is_full, read_json, write_json

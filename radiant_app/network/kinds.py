@@ -15,7 +15,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from radiant_core.io.messages import CAMERAS_NAME, FRAME_NAME, MODEL_NAME, REFINED_NAME, ROWS_NAME, SUMMARY_NAME, TASK_NAME, VIRTUAL_CAMERAS
+from radiant_core.hierarchy.codec import (
+    CAMERAS_NAME,
+    FRAME_NAME,
+    MODEL_NAME,
+    REFINED_NAME,
+    ROWS_NAME,
+    SUMMARY_NAME,
+    TASK_NAME,
+    VIRTUAL_CAMERAS,
+)
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 
 NOTES_NAME, REPORT_NAME = "notes.json", "report.json"

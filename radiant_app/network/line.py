@@ -29,7 +29,7 @@ from radiant_app.network.certificate import pinned_context
 from radiant_app.network.home import Home, Invitation
 from radiant_app.network.reception import BODY, COUNTER, GONE, JOIN, NODE, OFFSET, REPLY, SEAL
 from radiant_app.plain_text import plain_text
-from radiant_app.workers.strangers import Told, parse_record
+from radiant_app.strangers import Told, parse_record
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import content_key, parse_json, read_json, write_json

@@ -37,7 +37,7 @@ def what_to_try(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any
     return tuple((found or [*_untried(decisions), NOTHING_SEEN])[:MOST_LINES])
 
 
-NOTHING_SEEN = "nothing in the figures says why: compare the worst photographs with their renders (`radiant inspect`)"
+NOTHING_SEEN = "the figures do not show why: compare the worst photographs with their renders (`radiant inspect`)"
 
 
 def _tried(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -58,23 +58,23 @@ def _causes(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any]]) 
     """What the figures at hand say, the gravest first."""
     placed, unplaced = metrics.get("num_photographs"), metrics.get("num_unplaced", 0)
     if placed and unplaced > MANY_UNPLACED * (placed + unplaced):
-        yield f"{unplaced} of {placed + unplaced} photographs have no place: photographs that overlap their neighbours by two thirds would"
+        yield f"{unplaced} of {placed + unplaced} photographs could not be placed: overlap between neighbours of two thirds helps"
     overlap = metrics.get("views_per_point")
     if overlap is not None and overlap < LOW_OVERLAP:
-        yield f"a point is seen by {overlap:.1f} photographs in the mean: photographs from places between would show each by 5 and more"
+        yield f"a point is seen by {overlap:.1f} photographs on average: photographs from places in between would raise that to 5 and more"
     if placed and placed < FEW_PHOTOGRAPHS:
-        yield f"{placed} photographs are few: from {FEW_PHOTOGRAPHS} on, from other places too, views between them are shown better"
+        yield f"{placed} photographs are few: {FEW_PHOTOGRAPHS} or more, also from other places, improve the views between them"
     corrected_db = metrics.get("psnr_cc_db")
     if corrected_db is not None and corrected_db - metrics["psnr_db"] > CORRECTED_GAIN_DB:
         gain = corrected_db - metrics["psnr_db"]
         models = "`--set train.light=always` models it, one fixed exposure avoids it"
-        yield f"a correction of colours alone gains {gain:.1f} dB: light differs; {models}"
+        yield f"colour correction alone gains {gain:.1f} dB, so the light differs: {models}"
     for each in decisions:
         if each["topic"] == "blurred photographs" and each["figure"] is not None and each["figure"] < UNSHARP_PERCENT:
             yield f"a photograph has {each['figure']:.0f} % of the others' sharpness: leave blurred ones out, or take them again"
     shown = _times_shown(metrics)
     if shown is not None and shown < HARDLY_SHOWN:
-        yield f"a training showed each photograph {shown:.0f} times: more --steps, or more time"
+        yield f"a training used each photograph {shown:.0f} times: give more --steps or more time"
 
 
 def _times_shown(metrics: Mapping[str, Any]) -> float | None:

@@ -1,4 +1,5 @@
-"""The page of `radiant change`: both dates with the patches, what was compared, and a table."""
+"""The page of `radiant measure --since`: both dates with the patches, what was compared, and a
+table."""
 
 from __future__ import annotations
 

@@ -14,17 +14,16 @@ import markupsafe
 import numpy as np
 
 from radiant_app.events import UPLINK, Listener, StageDone, StageProgress, StageStarted
-from radiant_app.files.run_folder import Manifest, software_versions
+from radiant_app.files.run_folder import PLANNING_FOLDER, Manifest, software_versions
 from radiant_app.files.system_file import load_system
+from radiant_app.pace import clock_text
 from radiant_app.report.advice import what_to_try
-from radiant_app.report.gaps import gaps_of
+from radiant_app.report.gaps import gaps_of, notes_of
 from radiant_app.report.ground_control import survey_lines, survey_of_run, survey_rows
 from radiant_app.report.hero import NUM_SIDES, SIZE_WH
-from radiant_app.report.pace import clock_text
+from radiant_app.report.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_app.report.survey import Survey, survey_of
 from radiant_app.report.verdict import verdict_of
-from radiant_app.run.cloud_planning import STAGE
-from radiant_app.run.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_app.workers.sources import POSITIONS
 from radiant_core.aggregate.tree import refines_for
 from radiant_core.errors import BadInput
@@ -92,7 +91,9 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any], listen:
         survey=survey,
         verdict=verdict_of(metrics),
         advice=what_to_try(metrics, manifest.decisions),
-        gaps=gaps_of(metrics, manifest.warnings, survey.frame),
+        gaps=gaps_of(metrics, survey.frame),
+        notes=notes_of(metrics, manifest.warnings),
+        times=_times(manifest),
         sides=sides,
         flight=flight,
         duration=clock_text(manifest.ended_s) + (" min" if manifest.ended_s < 3600 else " h"),
@@ -101,7 +102,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any], listen:
         ground_control=None if (found := survey_of_run(run)) is None else (survey_lines(found), survey_rows(found)),
         unscored=describe_unscored(metrics),
         pooled=metrics.get("pooled", True),
-        planned_by_raster=(run / STAGE / "task.json").is_file(),
+        planned_by_raster=(run / PLANNING_FOLDER / "task.json").is_file(),
         access_tiers=access_by_tier(manifest.access_log, shared="leakage" not in metrics),
         pictures={name: _embed(path) for name, path in pictures.items()},
         comparisons=[_comparison(run, row) for row in select_images(metrics["images"]) if _has_pictures(run, row)],
@@ -156,6 +157,7 @@ def _save_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borde
     from radiant_viewer.charts.charts import timeline_picture
     from radiant_viewer.charts.gantt_chart import gantt_picture
     from radiant_viewer.pictures.images import save_png
+    from radiant_viewer.pictures.page import PHONE_SIZE_WH
     from radiant_viewer.runs.run_pictures import screenshot
 
     folder = run / "pictures"
@@ -170,11 +172,20 @@ def _save_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borde
     for number, view in enumerate(views):
         _tell(listen, 0, number, len(views))
         images[view] = screenshot(run, view)
+    images["regions_phone"] = screenshot(run, "regions", PHONE_SIZE_WH)
     _tell(listen, 0, len(views), len(views))
     folder.mkdir(exist_ok=True)
     for name, image in images.items():
         save_png(folder / f"{name}.png", image)
     return {name: folder / f"{name}.png" for name in images}
+
+
+def _times(manifest: Manifest) -> dict[str, dict[str, Any]]:
+    """The timelines as a phone shows them, by the name of their picture."""
+    from radiant_app.report.phone import timeline_lines
+
+    rows = {"timeline": _timeline_rows(manifest.stages), "timeline_emulated": timeline_of_emulation(manifest) if manifest.emulated else []}
+    return {name: timeline_lines(own) for name, own in rows.items()}
 
 
 def timeline_of_emulation(manifest: Manifest) -> list[Any]:
@@ -319,7 +330,8 @@ def _save_sides(run: Path, listen: Listener) -> list[str]:
 
 def _save_flight(run: Path, listen: Listener) -> str:
     """The page that flies through the model, one file beside the report; its name, or nothing where
-    the model is large: `radiant view` streams it."""
+    the model is large: `radiant inspect --page` streams it."""
+    from radiant_app.report.known_scale import page_scale
     from radiant_viewer.runs.run_view import load_run_view, require_splats
     from radiant_viewer.share.folder import page_of_run, save_single_page
 
@@ -329,7 +341,7 @@ def _save_flight(run: Path, listen: Listener) -> str:
         (run / FLIGHT_NAME).unlink(missing_ok=True)
         return ""
     try:
-        save_single_page(run / FLIGHT_NAME, page_of_run(view, with_photographs=False))
+        save_single_page(run / FLIGHT_NAME, page_of_run(view, with_photographs=False, scale=page_scale(view)))
     except BadInput:  # too large for one file after all: the run is done without it
         (run / FLIGHT_NAME).unlink(missing_ok=True)
         return ""

@@ -20,9 +20,9 @@ from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Ta
 from rich.table import Column
 from rich.text import Text
 
-from radiant_app.events import Decided, Event, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, TimeLeft, Warned
+from radiant_app.events import Decided, Event, Outlined, RunLeft, StageDone, StageProgress, StageSkipped, StageStarted, TimeLeft, Warned
+from radiant_app.pace import Pace, RunPace, clock_text, run_text
 from radiant_app.plain_text import shown_text
-from radiant_app.report.pace import Pace, clock_text
 
 _Item = TypeVar("_Item")
 SECONDS_BETWEEN_LINES = 10.0
@@ -78,6 +78,7 @@ class ProgressDisplay:
         self._tasks: dict[str, TaskID] = {}
         self._paces: dict[str, Pace] = {}
         self._run: TaskID | None = None
+        self._whole = RunPace(clock=clock)
         self._stages: frozenset[str] = frozenset()
         self._ended: set[str] = set()
 
@@ -105,7 +106,9 @@ class ProgressDisplay:
             self._end(event.stage, Text.assemble(("done", "green"), took))
         elif isinstance(event, StageSkipped):
             self._end(event.stage, Text.assemble(("skipped", "dim"), f" {event.stage}: finished before"))
-        elif isinstance(event, TimeLeft):
+        elif isinstance(event, RunLeft):
+            self._tell_run_left(event)
+        elif isinstance(event, TimeLeft) and self._whole.last is None:
             self._tell_time_left(event)
         elif isinstance(event, Warned):
             self._print(shown_text(f"warning {event.stage}: {event.message}"), "yellow")
@@ -136,11 +139,26 @@ class ProgressDisplay:
     def _count(self) -> int:
         """How many stages of the run are finished, which its bar shows too."""
         num_ended, total = len(self._stages & self._ended), len(self._stages)
-        if self._run is not None:
+        if self._run is not None and self._whole.last is None:
             # The report comes after the stages and has a line of its own.
             rest = ", finishing" if 0 < total == num_ended else ""
             self._progress.update(self._run, description=f"run: {num_ended} of {total} stages{rest}", completed=num_ended, total=total)
         return num_ended
+
+    def _tell_run_left(self, event: RunLeft) -> None:
+        """In the bar of the run, whose share is that of its time; in a log at intervals, and where
+        another phase begins."""
+        before, title = self._whole.last, f"run: {run_text(event)}"
+        self._whole.update(event)
+        if self._run is None:
+            self._run = self._progress.add_task(title, total=None, note="", pace=self._whole)
+        share = self._whole.share
+        total = None if share is None else 1.0
+        self._progress.update(self._run, description=title, pace=self._whole, note="", total=total, completed=share or 0.0)
+        is_new = before is None or before.number != event.number
+        if not self._console.is_terminal and (is_new or self._clock() >= self._line_due_s.get(_TIME_LEFT, 0.0)):
+            self._line_due_s[_TIME_LEFT] = self._clock() + SECONDS_BETWEEN_LINES
+            self._print(f"{title}, {self._whole.text}")
 
     def _tell_time_left(self, event: TimeLeft) -> None:
         """Beside the bar of the run; in a log as a line, at most one per interval."""
@@ -165,7 +183,8 @@ class ProgressDisplay:
         self._remove(stage)
         self._ended.add(stage)
         num_ended = self._count()
-        self._print(line + Text(f"; {num_ended} of {len(self._stages)} stages finished" if stage in self._stages else ""))
+        counted = stage in self._stages and self._whole.last is None
+        self._print(line + Text(f"; {num_ended} of {len(self._stages)} stages finished" if counted else ""))
 
     def _remove(self, stage: str) -> None:
         if stage in self._tasks:

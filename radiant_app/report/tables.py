@@ -64,7 +64,7 @@ def print_model(path: Path, metrics: Mapping[str, Any]) -> None:
 
 
 def print_scene(result: Mapping[str, Any]) -> None:
-    """What `commands.steps.sfm` found, and what to do next."""
+    """What `commands.run.steps.sfm` found, and what to do next."""
     typer.echo(f"photographs: {result['cameras']} of {result['cameras'] + len(result['unregistered'])} placed")
     typer.echo(f"points: {result['points']:,}")
     residual_m = result["gps_residual_m"]

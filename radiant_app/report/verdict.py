@@ -57,7 +57,7 @@ def verdict_of(metrics: Mapping[str, Any]) -> Verdict:
         return Verdict(word=word, meaning=meaning, figures=figures, doubt="" if num_images >= FEW_PHOTOGRAPHS else "too few to be sure")
     lowest = max((most for most, _ in limits), key=_ORDER.index)
     doubt = "; ".join(why for _, why in limits)
-    return Verdict(word=lowest, meaning=f"renders alone would be {word}", figures=figures, doubt=doubt)
+    return Verdict(word=lowest, meaning=f"by its renders alone it would be {word}", figures=figures, doubt=doubt)
 
 
 def _limits(metrics: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -73,15 +73,15 @@ def _limits(metrics: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if unplaced and placed is not None:
         share = unplaced / (unplaced + placed)
         if share > MANY_UNPLACED:
-            yield "poor" if share > MOST_UNPLACED else "fair", f"{unplaced} of {unplaced + placed} photographs have no place in it"
+            yield "poor" if share > MOST_UNPLACED else "fair", f"{unplaced} of {unplaced + placed} photographs could not be placed"
     if unscored := metrics.get("num_unscored", 0):
         yield "good" if unscored < len(rows) else "fair", f"{unscored} of {unscored + len(rows)} held-out photographs are not scored"
     if missing := metrics.get("missing"):
-        yield "fair", f"no model came from {', '.join(missing)}"
+        yield "fair", f"no model arrived from {', '.join(missing)}"
     if metrics.get("seam_found"):
-        yield "fair", "a seam is found"
+        yield "fair", "a seam was found"
     if doubts := metrics.get("doubts"):
-        yield "fair", f"its place, scale or up is in doubt ({len(doubts)} warning{'s' * (len(doubts) != 1)})"
+        yield "fair", f"its position, scale or up direction is in doubt ({len(doubts)} warning{'s' * (len(doubts) != 1)})"
     check = (metrics.get("ground_control") or {}).get("check")
     if check is not None and check["rms_axis_m"] > WORSE_THAN_EXPECTED * check["expected_axis_m"]:
-        yield "fair", f"check points are {check['rms_axis_m'] / check['expected_axis_m']:.0f} times as far off as expected"
+        yield "fair", f"check points are off by {check['rms_axis_m'] / check['expected_axis_m']:.0f} times the expected error"

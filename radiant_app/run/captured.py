@@ -26,7 +26,7 @@ from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import MAX_REACH_M, enu_from_geodetic
-from radiant_core.io.messages import save_task, task_key
+from radiant_core.hierarchy.codec import save_task, task_key
 from radiant_core.io.photos.copies import copies_warning, file_copies
 from radiant_core.io.photos.folders import SUFFIXES, is_camera_folder, photograph_names
 from radiant_core.io.run_store import content_key, read_json

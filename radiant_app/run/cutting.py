@@ -33,9 +33,9 @@ CHOICES = {
     "positions": "regions and strips are cut where cameras stand",
     "looks": "regions and strips are cut where cameras look",
 }
-MEANING = "the agreement between whose camera sees a point and in whose strip it lies"
+MEANING = "how far the camera that sees a point and the strip that it lies in are of one device"
 
-RULE = f"where they look decides from {LEAST_RISE:g} more on, if it is at most {MOST_STANDING:g} where they stand"
+RULE = f"where they look is used from {LEAST_RISE:g} more on, if κ is at most {MOST_STANDING:g} where they stand"
 
 Planned = tuple[CloudPlan, tuple[EdgePlan, ...]]
 
@@ -88,7 +88,7 @@ def choose_cut(scene: SfmScene | None, wanted: CutBy, method: PlanMethod, make: 
     stand, look = kappas
     takes = wanted == "looks" or (wanted == "auto" and looks_pay(stand, look))
     rise = None if stand is None or look is None else look - stand
-    measured = "κ cannot be told" if rise is None else f"κ is {stand:.2f} where they stand and {look:.2f} where they look"
+    measured = "κ is not known" if rise is None else f"κ is {stand:.2f} where they stand and {look:.2f} where they look"
     decision = replace(
         _decision("looks" if takes else "positions", f"{measured}, {MEANING}; {RULE}"),
         figure=rise,

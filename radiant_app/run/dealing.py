@@ -27,9 +27,9 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.choices import Version
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.choosing import in_order
+from radiant_core.hierarchy.codec import FRAME_NAME, SUMMARY_NAME, TASK_NAME, save_task, sent_files, task_key
 from radiant_core.hierarchy.messages import ONLY_FADED
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.io.messages import FRAME_NAME, SUMMARY_NAME, TASK_NAME, save_task, sent_files, task_key
 from radiant_core.io.photos.masks import mask_name
 from radiant_core.io.run_store import content_key, is_sealed, read_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME

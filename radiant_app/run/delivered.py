@@ -20,9 +20,9 @@ from radiant_app.workers.inbox import load_corrections
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.frames import Frame
 from radiant_core.geometry.similarity import move_cameras
+from radiant_core.hierarchy.codec import CAMERAS_NAME, VIRTUAL_CAMERAS
+from radiant_core.hierarchy.group_codec import load_start
 from radiant_core.hierarchy.joining import number_cameras
-from radiant_core.io.group_messages import load_start
-from radiant_core.io.messages import CAMERAS_NAME, VIRTUAL_CAMERAS
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, save_plan, save_scene
 from radiant_core.numerics import FloatArray

@@ -63,7 +63,7 @@ def group_rules(
         splat_bytes=4 * num_floats * BYTES_FACTORS[config.upload],
         max_num_splats=train.max_num_splats,
         masked=config.plan.mask_gradients,
-        view_s=VIEW_S * (train.long_side_px / VIEW_PX) ** 2 if _costs_are_nobodys(system) else None,
+        view_s=VIEW_S * (train.long_side_px / VIEW_PX) ** 2 if costs_are_nobodys(system) else None,
     )
     return GroupRules(
         law=law,
@@ -101,7 +101,7 @@ def _holds(train: TrainConfig, law: TogetherLaw) -> Callable[[Device, int], bool
     return holds
 
 
-def _costs_are_nobodys(system: System) -> bool:
+def costs_are_nobodys(system: System) -> bool:
     """Whether all devices have a system file's default costs, which are no machine's."""
     default = even_system(1, 1).devices[0]
     return all(own.origin is None and (own.init_s, own.train_s) == (default.init_s, default.train_s) for own in system.devices)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from radiant_app.config.fields import config_of, values_of
 from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals
+from radiant_app.reporting import EventReporter
 from radiant_app.run.pipeline import run
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import JobTask
 from radiant_app.workers.worker import end_process, main
 

@@ -19,12 +19,12 @@ from scipy.spatial import KDTree
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Warned
 from radiant_app.executors.protocol import Executor
+from radiant_app.files.run_folder import PLANNING_FOLDER
+from radiant_app.report.prediction_error import save_system
 from radiant_app.run.captured import Captured, device_folders, locate_photographs, photo_folder, weigh_claims
-from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.dealing import Dealer, count_received
 from radiant_app.run.delivered import save_delivered
 from radiant_app.run.grouping import choose_run_groups
-from radiant_app.run.prediction_error import save_system
 from radiant_app.run.predictions import planned_training
 from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import Scoring, ScoringMachine
@@ -37,9 +37,9 @@ from radiant_app.workers.tasks import HELD_OUT_NAME, FieldTask, PlacingTask, Sfm
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.georef.given_frame import save_given_frame
+from radiant_core.hierarchy.codec import MODEL_NAME
 from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.io.messages import MODEL_NAME
 from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import write_json
 from radiant_core.light.captures import CAPTURES_NAME
@@ -262,13 +262,13 @@ class DevicePhotographs:
         run = self.config.out
         heads = sorted(path for path in (run / "positions").rglob("*.json") if path.name in ("positions.json", "raster.json"))
         owner = [{"node": "plan", "tier": "owner", **count_received(heads)}] if self.config.frames == "gps" else []
-        task = run / STAGE / "task.json"
-        return [*owner, *([{"node": STAGE, "tier": "cloud", **count_received([task])}] if task.is_file() else [])]
+        task = run / PLANNING_FOLDER / "task.json"
+        return [*owner, *([{"node": PLANNING_FOLDER, "tier": "cloud", **count_received([task])}] if task.is_file() else [])]
 
     def stages(self, tree: Tree) -> tuple[Sequence[str], Sequence[str]]:
         """Before: reading positions and planning at the cloud; after: scoring on each device."""
         positions = ["positions", *(f"positions/{device}" for device in self.folders or ())]
-        planning = [STAGE] if (self.config.out / STAGE).is_dir() else []
+        planning = [PLANNING_FOLDER] if (self.config.out / PLANNING_FOLDER).is_dir() else []
         return [*positions, *planning], [f"{node.id}/score" for node in tree if node.tier == "device"]
 
     def may_fail(self, node: Tree, error: BadInput | StageFailed) -> bool:

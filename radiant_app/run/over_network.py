@@ -26,10 +26,10 @@ from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Outlined, Warned
 from radiant_app.executors.fold import Deadlines, RetryPolicy
 from radiant_app.executors.local import worker_command
-from radiant_app.executors.network import NetworkExecutor
 from radiant_app.executors.protocol import NodeTask, Prepare
 from radiant_app.files.system_file import dump_system
 from radiant_app.network.contents import OpenedReport, ToldDevice, open_report
+from radiant_app.network.executor import NetworkExecutor
 from radiant_app.network.hub import Hub
 from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME, remove_earlier
 from radiant_app.network.messages import (
@@ -48,6 +48,7 @@ from radiant_app.run.choosing import keep_best
 from radiant_app.run.dealing import Dealer, deal_files
 from radiant_app.run.delivered import save_delivered_by_edges
 from radiant_app.run.far_devices import FarDevices, require_names
+from radiant_app.run.foreseen import foresee_planned
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.progress import Progress
 from radiant_app.run.refining import Refining, expected_refines, fold_rounds, plan_rounds
@@ -65,8 +66,8 @@ from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refines_for, tree_of_plan
 from radiant_core.choices import Version
 from radiant_core.errors import StageFailed
+from radiant_core.hierarchy.codec import FRAME_NAME, MODEL_NAME, REFINED_NAME, SUMMARY_NAME, save_task, task_key
 from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
-from radiant_core.io.messages import FRAME_NAME, MODEL_NAME, REFINED_NAME, SUMMARY_NAME, save_task, task_key
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import SEAL_NAME, content_key, is_sealed, seal, write_atomic, write_json
 from radiant_core.numerics import FloatArray
@@ -107,6 +108,8 @@ class CloudRun:
         scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
         progress.manifest.keep_stages({*nodes, *refines, *scores})
         progress.listen(Outlined(stages=(*nodes, *refines, *scores)))
+        # Its machines all work at once, on whatever cores they have.
+        progress.listen(foresee_planned(self.config, plan, recipe, len(nodes)))
         listen = make_time_left_listener(self.config, plan, progress)
         for row in planned_stages(plan.system, plan.edges):
             self.expected_s[row.node] = self.expected_s.get(row.node, 0.0) + row.seconds

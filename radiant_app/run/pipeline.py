@@ -25,11 +25,12 @@ from radiant_app.files.run_folder import Manifest, open_run
 from radiant_app.network.home import open_home, require_cloud
 from radiant_app.network.serving import require_network
 from radiant_app.report.ground_control import placing_of_run, survey_of_run
+from radiant_app.report.prediction_error import prediction_of
 from radiant_app.run.dealing import Dealer, deal_files
+from radiant_app.run.foreseen import foresee, foresee_planned, slowdown
 from radiant_app.run.groups import end_groups, prepare_meetings, tell_parents, with_groups
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
-from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.predictions import refining_law_of
 from radiant_app.run.progress import Progress
 from radiant_app.run.promises import promises_of
@@ -45,8 +46,10 @@ from radiant_app.run.stages import (
     make_time_left_listener,
     require_plan,
     scale_for_uploads,
+    workers_of,
 )
 from radiant_app.run.this_machine import system_of
+from radiant_app.run.whole_run import WholeRun
 from radiant_app.workers.evaluation import LPIPS_NAME
 from radiant_app.workers.memory import peak_bytes
 from radiant_app.workers.sources import SURVEY, detect_source
@@ -122,7 +125,8 @@ def run(
         if lpips is not None:
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
-        progress = Progress(manifest=manifest, listener=heard, clock=clock, started_s=clock() - manifest.ended_s)
+        whole = WholeRun(listen=heard, clock=clock, slowdown=slowdown())
+        progress = Progress(manifest=manifest, listener=whole, clock=clock, started_s=clock() - manifest.ended_s)
         if not keeps_modes(config.out):
             progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))
         if cloud is not None:
@@ -140,7 +144,7 @@ def run(
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **refined, **emulation}
         metrics = _write_metrics(config, manifest, dealer.recipe, more)
         manifest.status = "done"
-        write_report(config.out, manifest, metrics, heard)
+        write_report(config.out, manifest, metrics, whole)
     return RunResult(folder=config.out, metrics=metrics)
 
 
@@ -180,6 +184,8 @@ def _locate_photographs(config: RunConfig, system: System, progress: Progress) -
     if config.frames != "shared":
         return DevicePhotographs.locate(config, system, progress)
     progress.listen(Outlined(stages=("sfm", *list_nodes(system), "evaluation")))
+    if (foreseen := foresee(config, system)) is not None:
+        progress.listen(foreseen)
     return PooledPhotographs.reconstruct(config, progress)
 
 
@@ -200,6 +206,7 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
     progress.manifest.keep_stages({*before, *after, *nodes, *expected})
     located = [stage for stage in before if stage in progress.manifest.stages]
     progress.listen(Outlined(stages=(*located, *nodes, *expected, *after)))
+    progress.listen(foresee_planned(config, plan, recipe, workers_of(config, plan)))
     listen = make_time_left_listener(config, plan, progress)
     retry_policy = RetryPolicy(may_fail=photographs.may_fail, deadlines=listen)
     if photographs.positions is not None:

@@ -35,9 +35,9 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
 from radiant_core.evaluate.lpips import MIN_SIDE_PX
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.hierarchy.codec import save_task
 from radiant_core.hierarchy.messages import DeviceTask, device_task
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.io.messages import save_task
 from radiant_core.io.records import load_scene, save_cameras, save_splats
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.light.captures import CAPTURES_NAME

@@ -87,8 +87,8 @@ def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photograp
     if aggregate.preset == "paper" or not num_photographs or not num_devices:
         return 1.0, 1.0
     joining = aggregate.joining_after(trainings_of(train, num_photographs, num_devices))
-    at_edges = share_of_epochs(joining.epochs_at_edges, JOINING_EPOCHS[0])
-    return at_edges, share_of_epochs(joining.epochs_at_cloud, JOINING_EPOCHS[1], BESIDE_EPOCHS_AT_CLOUD)
+    at_edges = share_of_epochs(joining.at_edge.num_epochs, JOINING_EPOCHS[0])
+    return at_edges, share_of_epochs(joining.at_cloud.num_epochs, JOINING_EPOCHS[1], BESIDE_EPOCHS_AT_CLOUD)
 
 
 def share_of_epochs(epochs: int, most: int, beside: float = BESIDE_EPOCHS) -> float:

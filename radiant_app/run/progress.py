@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from radiant_app.events import Event, Listener, StageSkipped
 from radiant_app.files.run_folder import Manifest
-from radiant_app.workers.reporting import read_notes
+from radiant_app.reporting import read_notes
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,10 +27,10 @@ from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
 from radiant_core.decisions import Decision
 from radiant_core.frames import Sim3
+from radiant_core.hierarchy.codec import CAMERAS_NAME, MODEL_NAME, REFINED_NAME, ROWS_NAME, SUMMARY_NAME, TASK_NAME, save_task, task_key
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.refining_plan import LEAST_DEVICES, STAGE, RefiningPlan, choose_rounds, plan_refining
-from radiant_core.io.messages import CAMERAS_NAME, MODEL_NAME, REFINED_NAME, ROWS_NAME, SUMMARY_NAME, TASK_NAME, save_task, task_key
 from radiant_core.io.run_store import content_key, file_sha256, is_sealed, read_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 

@@ -24,8 +24,8 @@ from radiant_app.run.dealing import Dealer
 from radiant_app.run.refining import Refining
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
 from radiant_core.aggregate.tree import Tree, refines_for
+from radiant_core.hierarchy.codec import SUMMARY_NAME
 from radiant_core.hierarchy.refining_plan import refining_steps
-from radiant_core.io.messages import SUMMARY_NAME
 from radiant_core.io.run_store import read_json
 
 

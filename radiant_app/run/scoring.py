@@ -31,8 +31,8 @@ from radiant_core.choices import LpipsNetwork, Version
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.seam_excess import SeamExcess, excess_by_border, pooled_excess
 from radiant_core.frames import Sim3
+from radiant_core.hierarchy.codec import SUMMARY_NAME, TASK_NAME, save_task, task_key
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.io.messages import SUMMARY_NAME, TASK_NAME, save_task, task_key
 from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, is_sealed, read_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME

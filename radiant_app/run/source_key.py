@@ -22,11 +22,11 @@ from radiant_app.workers.sources import detect_source
 from radiant_app.workers.tasks import SfmTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.hierarchy.codec import message_record
 from radiant_core.io.colmap.image_files import match_images
 from radiant_core.io.colmap.model import image_names, model_files
 from radiant_core.io.colmap.records import is_image_name
 from radiant_core.io.film.formats import films_in, srt_beside
-from radiant_core.io.messages import message_record
 from radiant_core.io.photos.folders import SUFFIXES, photograph_names
 from radiant_core.io.photos.masks import find_masks
 from radiant_core.io.poses.recognise import alignment_files
@@ -67,7 +67,10 @@ def used_files(source: Path, masks: Path | None, asked: Path | None = None) -> d
     if kind == "film":
         films = films_in(images)
         beside = [srt for film in films if (srt := srt_beside(film)) is not None]
-        return {path.name: path for path in (*films, *beside)}
+        # Which frames there will be, and so which masks fit, is known once they are taken.
+        pictures = [] if masks is None or not masks.is_dir() else sorted(masks.rglob("*"))
+        inside = {f"mask {path.relative_to(masks or source).as_posix()}": path for path in pictures if path.suffix.lower() in SUFFIXES}
+        return {path.name: path for path in (*films, *beside)} | {name: path for name, path in inside.items() if path.is_file()}
     if kind == "mill19":
         poses = [path for split in ("train", "val") for path in sorted((source / split / "metadata").glob("*.pt"))]
         posed = {(path.parts[-3], path.stem) for path in poses}

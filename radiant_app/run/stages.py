@@ -12,9 +12,9 @@ from radiant_app.executors.emulated import EmulatedExecutor
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
+from radiant_app.report.prediction_error import save_system
 from radiant_app.run.cloud_planning import place_edges_by_raster, plan_at_cloud
 from radiant_app.run.cutting import choose_cut, leave_whole, plan_places
-from radiant_app.run.prediction_error import save_system
 from radiant_app.run.predictions import (
     planned_training,
     prediction_warnings,
@@ -57,7 +57,7 @@ ATTEMPTS = 3
 """Starts of a node whose process or machine was lost; more failures are no chance."""
 FRAMES_UNPREDICTED = (
     "what it takes to bring models that GPS has placed into one frame is in no profile: edges and the cloud will take longer than is "
-    "predicted; make the profile anew with `radiant profile` and photographs that overlap, which measures that."
+    "predicted; make the profile anew with `radiant machine profile` and photographs that overlap, which measures that."
 )
 REFERENCE_RETRAIN_STEPS = 100
 """Limit of a retraining on the plain PyTorch backend."""
@@ -268,7 +268,7 @@ def scale_for_uploads(system: System, upload: UploadFormat, progress: Progress) 
         choice=f"{upload}: models count {factor:.2f} times their bytes",
         figure=100 * factor,
         unit="% of the bytes of float32",
-        reason="the plan's sizes are those of float32 models, uploads take less",
+        reason="the plan counts float32 models, and uploads are smaller",
     )
     progress.listen(Decided(decision=decision))
     return system.with_uploads_of(factor)

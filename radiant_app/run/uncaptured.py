@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_core.io.export.plan import save_device_waypoints
+from radiant_core.export.plan import save_device_waypoints
 from radiant_core.io.records import save_plan
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.revision.captured import device_of_planned, require_same_system

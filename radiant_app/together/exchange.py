@@ -1,7 +1,7 @@
 """What travels over a link, and a parent's view of its children. Once per message.
 
     up      START      of a device, or of all devices below an edge: their files, by name
-            GRADIENTS  of the next step
+            GRADIENTS  of the next step; of an edge with what it remembers of its devices
     down    BEGIN      where the training stands, for devices that sent a start; what it began with,
                        where it has gone on since; whose start is refused, and why
             TOTAL      of a step
@@ -21,6 +21,7 @@ from pathlib import Path
 from radiant_app.together.links import LinkLost, ParentLinks
 from radiant_app.together.places import is_done
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.train.together.roles import MOST_STATE_BYTES
 
 START, GRADIENTS, BEGIN, TOTAL, END = b"S", b"G", b"B", b"T", b"E"
 LATE_S = 60.0
@@ -29,6 +30,8 @@ GONE_S = 300.0
 """One whose link is lost is waited for so long: its process may be started again."""
 MOST_LATE = 3
 """One that was late so often in a row, each time over a new link, is too slow to take part."""
+RELAY_STATE = "relay"
+"""The part of BEGIN with what an edge remembered of its devices."""
 _COUNT, _PART = struct.Struct("<I"), struct.Struct("<HQ")
 _MOST_PARTS = 10_000
 
@@ -61,6 +64,22 @@ def unpack(payload: bytes) -> dict[str, bytes]:
     return parts
 
 
+def pack_sum(message: bytes, state: bytes) -> bytes:
+    """GRADIENTS of an edge: the sum of a step, and what the edge remembers of its devices."""
+    return b"".join((GRADIENTS, _COUNT.pack(len(state)), state, message))
+
+
+def unpack_sum(payload: bytes) -> tuple[bytes, bytes]:
+    """The sum and the state of `pack_sum`, without its kind; what is damaged is a sum that nobody
+    can read."""
+    if len(payload) < _COUNT.size:
+        return b"", b""
+    end = _COUNT.size + _COUNT.unpack_from(payload)[0]
+    if end > min(len(payload), _COUNT.size + MOST_STATE_BYTES):
+        return b"", b""
+    return payload[end:], payload[_COUNT.size : end]
+
+
 Answer = Callable[[str, Mapping[str, bytes]], bytes]
 """Makes BEGIN for a child of what it sent in START; BadInput where that cannot be used."""
 
@@ -89,9 +108,9 @@ class Children:
     """Child → why steps go on without it."""
     num_missed: dict[str, int] = field(default_factory=dict)
     """Child → steps without it."""
-    _lost_s: dict[str, float] = field(default_factory=dict)
-    _num_late: dict[str, int] = field(default_factory=dict)
+    num_late: dict[str, int] = field(default_factory=dict)
     """Child → links that were lost since it said nothing, after its last gradients."""
+    _lost_s: dict[str, float] = field(default_factory=dict)
 
     def starts(self) -> dict[str, dict[str, bytes]]:
         """What each child begins with; without those that are gone. StageFailed without any."""
@@ -101,6 +120,8 @@ class Children:
             for name, kind, payload in self._receive([name for name in missing if name in self.links.linked]):
                 if kind != START:
                     self._lose(name, "it did not begin with a start")
+                    continue
+                if self._is_too_late(name):
                     continue
                 try:
                     sent[name] = unpack(payload)
@@ -144,7 +165,7 @@ class Children:
                     self._answer(name, payload, answer)
                 elif kind == GRADIENTS and name in self.present:
                     got[name] = payload[1:]
-                    self._num_late.pop(name, None)
+                    self.num_late.pop(name, None)
                 else:
                     self._lose(name, "it sent what was not asked for")
             missing = [name for name in self.names if name not in got and name not in self.left_out]
@@ -189,15 +210,14 @@ class Children:
         for name, message in (self.links.receive_all(names) if names else {}).items():
             if isinstance(message, LinkLost):
                 if message.is_late:
-                    self._num_late[name] = self._num_late.get(name, 0) + 1
+                    self.num_late[name] = self.num_late.get(name, 0) + 1
                 self._lose(name, message.reason)
             else:
                 arrived.append((name, message.payload[:1], message.payload))
         return arrived
 
     def _answer(self, name: str, payload: bytes, answer: Answer) -> None:
-        if self._num_late.get(name, 0) >= MOST_LATE:
-            self.refuse(name, f"it was late {MOST_LATE} times in a row, which is longer for a step than others wait")
+        if self._is_too_late(name):
             return
         try:
             reply = answer(name, unpack(payload))
@@ -209,6 +229,13 @@ class Children:
         if self._lost_s.pop(name, None) is not None or name in self.left_out:
             self.warn(f"{name} is back and takes part again.")
         self.left_out.pop(name, None)
+
+    def _is_too_late(self, name: str) -> bool:
+        """Whether a child that starts was late too often: then it is refused."""
+        if self.num_late.get(name, 0) < MOST_LATE:
+            return False
+        self.refuse(name, f"it was late {MOST_LATE} times in a row, which is longer for a step than others wait")
+        return True
 
     def _require_all(self) -> None:
         if self.needs_all and self.left_out:

@@ -14,18 +14,18 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
+from radiant_app.reporting import EventReporter
 from radiant_app.together.exchange import BEGIN, END, GONE_S, GRADIENTS, LATE_S, START, TOTAL, pack, unpack
 from radiant_app.together.links import ChildLink, LinkLost, LinkRules, Traffic, connect
 from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, mark_done, meeting_of
-from radiant_app.workers.reporting import EventReporter
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.hierarchy.codec import task_key
 from radiant_core.hierarchy.device import training_summary
+from radiant_core.hierarchy.group_codec import load_begin, save_begin, save_start
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, Seat
 from radiant_core.hierarchy.reporter import Machine
 from radiant_core.hierarchy.together import PreparedShare, ShareStart, join_share, prepare_share
-from radiant_core.io.group_messages import load_begin, save_begin, save_start
-from radiant_core.io.messages import task_key
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.splats import Splats

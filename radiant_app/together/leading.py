@@ -13,19 +13,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from radiant_app.together.exchange import BEGIN, GONE_S, LATE_S, TOTAL, Answer, Children, begin_anew, pack
+from radiant_app.reporting import EventReporter
+from radiant_app.together.exchange import BEGIN, GONE_S, LATE_S, RELAY_STATE, TOTAL, Answer, Children, begin_anew, pack, unpack_sum
 from radiant_app.together.links import LinkLost, LinkRules, ParentLinks
 from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, meeting_of
-from radiant_app.workers.reporting import EventReporter
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
+from radiant_core.hierarchy.codec import task_key
 from radiant_core.hierarchy.device import report_result
+from radiant_core.hierarchy.group_codec import load_start, save_begin
 from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.messages import Training
 from radiant_core.hierarchy.reporter import Machine, fit_options
 from radiant_core.hierarchy.together import Begun, GroupStart, ShareStart, begin_group, check_start
-from radiant_core.io.group_messages import load_start, save_begin
-from radiant_core.io.messages import task_key
 from radiant_core.io.records import save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.train.results import TrainResult
@@ -112,11 +112,11 @@ class _Leader:
         def answer(name: str, parts: Mapping[str, bytes]) -> bytes:
             if not self._admitted(parts) and not self._plan.has_relays:
                 raise BadInput(self.refused.get(name, "it is another one's"))
-            return self._begin(start, root, parts)
+            return self._begin(start, root, name, parts)
 
         if ended is None:
             usable = {name: parts for name, parts in sent.items() if self._plan.has_relays or any(device in starts for device in parts)}
-            self._children.begin({name: self._begin(start, root, parts) for name, parts in usable.items()})
+            self._children.begin({name: self._begin(start, root, name, parts) for name, parts in usable.items()})
             for name in sorted(set(sent) - set(usable)):
                 self._children.refuse(name, self.refused.get(name, "it is another one's"))
             self._take_steps(root, answer, checkpoints)
@@ -124,13 +124,13 @@ class _Leader:
             checkpoints.save(replica.step, root.state)
             write_json(self._record, {"key": self._task_key, "senders": {name: list(parts) for name, parts in sent.items()}})
         self._children.finish(answer)
-        for name, reasons in root.inbox.refused.items():
-            self._reporter.warn(f"{len(reasons)} messages of {name} were refused, the first: {reasons[0]}")
+        for warning in root.inbox.refusals():
+            self._reporter.warn(warning)
         traffic = self._children.links.traffic.values()
         summary = {
             "received_bytes": sum(each.received_bytes for each in traffic),
             "sent_bytes": sum(each.sent_bytes for each in traffic),
-            "num_refused": sum(map(len, root.inbox.refused.values())),
+            "num_refused": root.inbox.num_refused,
         }
         result = root.result()
         report_result(start.group.config, start.initial, result, self._reporter)
@@ -154,10 +154,20 @@ class _Leader:
                 self._admitted({device: data for parts in sent.values() for device, data in parts.items()})
                 self._children.begin({name: answer(name, parts) for name, parts in sent.items()})
                 continue
+            if self._plan.has_relays:
+                messages = self._sums(root, messages)
             message, total = root.total(messages)
             self._children.send(TOTAL, message)
+            for warning in root.inbox.take_warnings():
+                self._reporter.warn(warning)
             root.take(total)
             checkpoints.offer(replica.step, root.state)
+
+    def _sums(self, root: Root, messages: Mapping[str, bytes]) -> dict[str, bytes]:
+        """What edges sum in a step; the root keeps what they remember of their devices."""
+        unpacked = {edge: unpack_sum(payload) for edge, payload in messages.items()}
+        root.relay_states |= {edge: state for edge, (_, state) in unpacked.items()}
+        return {edge: message for edge, (message, _) in unpacked.items()}
 
     def _admitted(self, parts: Mapping[str, bytes]) -> dict[str, ShareStart]:
         """The starts that can be used; others are refused by name."""
@@ -182,15 +192,17 @@ class _Leader:
                 self._public_keys[device] = start.public_key
         return usable
 
-    def _begin(self, start: GroupStart, root: Root, devices: Mapping[str, bytes]) -> bytes:
+    def _begin(self, start: GroupStart, root: Root, sender: str, devices: Mapping[str, bytes]) -> bytes:
         offsets = {device: offset for device, offset in start.offsets.items() if device in devices}
         path, keys = self._place / "begin.safetensors", self._keys_beside(devices) if self._plan.masked else {}
-        state, last_total = root.standing()
-        begun = Begun(group=start.group, state=state, offsets=offsets, antialiased=start.initial.antialiased, public_keys=keys)
+        standing, last_total = root.standing()
+        begun = Begun(group=start.group, state=standing, offsets=offsets, antialiased=start.initial.antialiased, public_keys=keys)
         save_begin(path, begun)
         parts = {"begin": path.read_bytes()}
         if last_total:
             parts["total"] = last_total
+        if state := root.relay_states.get(sender):
+            parts[RELAY_STATE] = state
         if root.replica.step:
             save_splats(self._place / INITIAL, start.initial)
             parts["initial"] = (self._place / INITIAL).read_bytes()

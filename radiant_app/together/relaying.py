@@ -4,7 +4,8 @@
     GRADIENTS of its devices ─ sum ─→ up      TOTAL ─→ down
 
 It has no model: a link that is lost to the root is made anew, and its devices begin anew from where
-the root stands.
+the root stands. What it remembers of its devices goes up with each sum and comes back then, so that
+an edge that is back refuses whom it refused before.
 """
 
 from __future__ import annotations
@@ -15,17 +16,32 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from radiant_app.together.exchange import BEGIN, END, GONE_S, GRADIENTS, LATE_S, START, TOTAL, Children, begin_anew, pack, unpack
+from radiant_app.reporting import EventReporter
+from radiant_app.together.exchange import (
+    BEGIN,
+    END,
+    GONE_S,
+    LATE_S,
+    RELAY_STATE,
+    START,
+    TOTAL,
+    Children,
+    begin_anew,
+    pack,
+    pack_sum,
+    unpack,
+)
 from radiant_app.together.holding import CONNECT_S
 from radiant_app.together.links import ChildLink, LinkLost, LinkRules, ParentLinks, Traffic, connect
 from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, mark_done, meeting_of
-from radiant_app.workers.reporting import EventReporter
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.hierarchy.group_codec import load_begin
 from radiant_core.hierarchy.groups import GroupTraining
-from radiant_core.io.group_messages import load_begin
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.train.together.roles import Relay
+
+_RECORD = ("key", "begun", "refused", "num_refused")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,14 +81,20 @@ def relay(folder: Path, plan: GroupTraining, reporter: EventReporter) -> Relayed
 class _Relaying:
     def __init__(self, *, folder: Path, plan: GroupTraining, links: ParentLinks, reporter: EventReporter, key: str) -> None:
         self._folder, self._plan, self._links, self._reporter = folder, plan, links, reporter
-        self._children = self._new_children()
+        self._children = self._new_children({})
         self._traffic = Traffic()
         self._relayed, self._num_refused = Relayed(), 0
         self._record, self._key = folder / GROUP_FOLDER / ENDED_NAME, key
 
-    def _new_children(self) -> Children:
-        names, meeting = list(self._plan.of_devices), meeting_of(self._folder, f"edges/{self._folder.name}")
-        return Children(links=self._links, names=names, meeting=meeting, warn=self._reporter.warn, needs_all=self._plan.masked)
+    def _new_children(self, num_late: dict[str, int]) -> Children:
+        return Children(
+            links=self._links,
+            names=list(self._plan.of_devices),
+            meeting=meeting_of(self._folder, f"edges/{self._folder.name}"),
+            warn=self._reporter.warn,
+            needs_all=self._plan.masked,
+            num_late=num_late,
+        )
 
     def run(self) -> Relayed:
         """Steps until the root ends them, over as many links as it takes."""
@@ -91,7 +113,7 @@ class _Relaying:
                 )
                 for name in list(self._links.linked):
                     self._links.drop(name, f"the link to {self._plan.root} was lost")
-                self._children = self._new_children()
+                self._children = self._new_children(self._children.num_late)
                 time.sleep(0.2)
             else:
                 mark_done(meeting_of(self._folder, self._plan.root), self._folder.name)
@@ -102,13 +124,17 @@ class _Relaying:
                 return self._relayed
 
     def _steps(self, up: ChildLink, starts: Mapping[str, Mapping[str, bytes]]) -> None:
-        begin = self._ask(up, {device: data for parts in starts.values() for device, data in parts.items()})
+        begin, state = self._ask(up, {device: data for parts in starts.values() for device, data in parts.items()})
         place = self._folder / GROUP_FOLDER
         place.mkdir(exist_ok=True)
         parts = unpack(begin)
         (place / "begin.safetensors").write_bytes(parts["begin"])
         stands = load_begin(place / "begin.safetensors")
         relay = Relay(self._plan.of_devices, stands.layout, stands.group)
+        # Where steps overlap devices have sent already what is in the total that they take next.
+        first = stands.step + ("total" in parts)
+        knows_size = "total" not in parts or not stands.group.edits(stands.step)
+        relay.begin(first, len(stands.splats) if knows_size else None, state)
         self._note_refused(starts, begin)
         self._children.begin({name: begin for name in starts if name not in self._relayed.refused})
         for name in starts:
@@ -119,23 +145,27 @@ class _Relaying:
             return self._answer(up, name, parts)
 
         num_steps = stands.group.stepping.num_steps
-        # Where steps overlap devices have sent already what is in the total that they take next.
-        for step in range(stands.step + ("total" in parts), num_steps):
+        for step in range(first, num_steps):
             try:
                 sent = self._children.gradients(begin_anew if self._plan.masked else answer)
             except LinkLost:
                 up.close()
                 raise
-            up.send(GRADIENTS + relay.message(sent))
+            message = relay.message(sent)
+            up.send(pack_sum(message, relay.state()))
+            for warning in relay.inbox.take_warnings():
+                self._reporter.warn(warning)
             payload = up.receive().payload
             if payload[:1] != TOTAL:
                 raise LinkLost(self._plan.root, f"it sent {payload[:1]!r} at step {step + 1} where a sum was due")
+            relay.follow(payload[1:])
             self._children.send(TOTAL, payload[1:])
         _require_end(up, self._plan.root)
-        write_json(self._record, {"key": self._key, "begun": sorted(self._relayed.begun), "refused": self._relayed.refused})
-        for name, reasons in relay.inbox.refused.items():
-            self._reporter.warn(f"{len(reasons)} messages of {name} were refused, the first: {reasons[0]}")
-            self._num_refused += len(reasons)
+        self._num_refused = relay.inbox.num_refused
+        record = {"key": self._key, "begun": sorted(self._relayed.begun), "refused": self._relayed.refused}
+        write_json(self._record, {**record, "num_refused": self._num_refused})
+        for warning in relay.inbox.refusals():
+            self._reporter.warn(warning)
         # The root listens to whoever comes back for the end, over a new link.
         up.close()
         self._finish()
@@ -158,9 +188,9 @@ class _Relaying:
     @property
     def _has_ended(self) -> bool:
         """Whether all steps were summed before this process was started again."""
-        if not self._record.is_file() or (record := read_json(self._record, ("key", "begun", "refused")))["key"] != self._key:
+        if not self._record.is_file() or (record := read_json(self._record, _RECORD))["key"] != self._key:
             return False
-        self._relayed = Relayed(begun=set(record["begun"]), refused=record["refused"])
+        self._relayed, self._num_refused = Relayed(begun=set(record["begun"]), refused=record["refused"]), record["num_refused"]
         return True
 
     def _connect(self) -> ChildLink:
@@ -169,7 +199,7 @@ class _Relaying:
 
     def _answer(self, up: ChildLink, name: str, parts: Mapping[str, bytes]) -> bytes:
         """BEGIN for a device that comes back."""
-        begin = self._ask(up, {name: parts[name]} if name in parts else {})
+        begin, _ = self._ask(up, {name: parts[name]} if name in parts else {})
         self._note_refused([name], begin)
         if name in self._relayed.refused:
             raise BadInput(self._relayed.refused[name])
@@ -185,15 +215,19 @@ class _Relaying:
                 self._relayed.refused.pop(name, None)
                 self._relayed.begun.add(name)
 
-    def _ask(self, up: ChildLink, starts: Mapping[str, bytes]) -> bytes:
-        """BEGIN for devices that sent these starts."""
+    def _ask(self, up: ChildLink, starts: Mapping[str, bytes]) -> tuple[bytes, bytes]:
+        """BEGIN for devices that sent these starts, and what this edge remembered of all of them
+        after the step before, which is not for devices."""
         if not starts:
             raise BadInput("a device sent another one's start")
         up.send(pack(START, starts))
         payload = up.receive().payload
         if payload[:1] != BEGIN:
             raise LinkLost(self._plan.root, f"it answered a start with {payload[:1]!r}")
-        return payload
+        if RELAY_STATE not in (parts := unpack(payload)):
+            return payload, b""
+        state = parts.pop(RELAY_STATE)
+        return pack(BEGIN, parts), state
 
 
 def _require_end(up: ChildLink, root: str) -> None:

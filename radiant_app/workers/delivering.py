@@ -26,7 +26,7 @@ from typing import Any
 
 from radiant_core.aggregate.tree import REFINE, scored_at
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.messages import sent_files as model_files
+from radiant_core.hierarchy.codec import sent_files as model_files
 from radiant_core.io.run_store import content_key, read_json, write_atomic, write_json
 from radiant_core.io.transport.acceptance import Acceptance, LastTask, Offer
 from radiant_core.io.transport.delivery import (

@@ -18,15 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.delivering import belongs_to_run, deliver
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.scores import scored_name
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, ScoreTask
 from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
 from radiant_core.choices import Version
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.held_out import held_out_psnr_db
 from radiant_core.evaluate.image_error import (
     FIGURES,
     NO_FLIP_REASON,
@@ -45,7 +44,7 @@ from radiant_core.evaluate.seam_excess import BorderError, border_errors
 from radiant_core.evaluate.support import support_of
 from radiant_core.geometry.similarity import move_cameras
 from radiant_core.geometry.support import SUPPORT_NAME, Support, save_support
-from radiant_core.io.messages import MODEL_NAME
+from radiant_core.hierarchy.codec import MODEL_NAME
 from radiant_core.io.photos.listing import load_photograph
 from radiant_core.io.photos.masks import pixel_weights, used_pixels
 from radiant_core.io.ply import load_ply
@@ -53,6 +52,7 @@ from radiant_core.io.records import load_cameras, load_plan, load_scene, load_sp
 from radiant_core.io.run_store import read_json, write_atomic, write_json
 from radiant_core.light.canonical import LightOfScore, light_of_score, show_in_light
 from radiant_core.light.captures import load_captures
+from radiant_core.light.held_out import held_out_psnr_db
 from radiant_core.light.lights import Lights
 from radiant_core.light.solve import COMPARED_PX
 from radiant_core.plan.plans import CloudPlan

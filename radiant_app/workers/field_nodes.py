@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from radiant_app.reporting import EventReporter, read_notes
 from radiant_app.together.places import mark_gone, meeting_of
 from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.redaction import Redactor, make_redactor
-from radiant_app.workers.reporting import EventReporter, read_notes
 from radiant_app.workers.sources import portable_path
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, FieldTask, PlacingTask, PositionsTask
 from radiant_app.workers.training import remove_checkpoints, train_from_folder
@@ -34,7 +34,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.frames import WGS84_SEMI_MAJOR_M, FrameUncertainty
-from radiant_core.io.messages import NOTHING, load_uncertainty, save_device_model, save_frame, task_key
+from radiant_core.hierarchy.codec import NOTHING, load_uncertainty, save_device_model, save_frame, task_key
 from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.copies import copies_count, file_copies
 from radiant_core.io.photos.folders import folders_warning, read_folder, unread_warning

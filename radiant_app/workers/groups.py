@@ -10,17 +10,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from radiant_app.reporting import EventReporter
 from radiant_app.together.leading import lead
 from radiant_app.together.relaying import relay
 from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.inbox import save_joining
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.training import make_machine
+from radiant_core.hierarchy.codec import NOTHING, SUMMARY_NAME, save_edge_model
 from radiant_core.hierarchy.group_models import NOT_BEGUN, edge_of_group, scene_of_group
 from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.joining import UNMOVED
 from radiant_core.hierarchy.messages import CloudTask, EdgeTask
-from radiant_core.io.messages import NOTHING, SUMMARY_NAME, save_edge_model
 from radiant_core.io.ply import save_ply
 from radiant_core.io.run_store import read_json, write_json
 

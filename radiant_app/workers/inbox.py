@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from radiant_app.strangers import Told, parse_record
 from radiant_app.workers.delivering import belongs_to_run, find_refusals
-from radiant_app.workers.strangers import Told, parse_record
 from radiant_app.workers.tasks import Move
 from radiant_core.frames import FrameUncertainty, Sim3
+from radiant_core.hierarchy.codec import load_device_model, load_edge_model, save_frame, sim3_record
 from radiant_core.hierarchy.messages import DeviceModel, EdgeModel
-from radiant_core.io.messages import load_device_model, load_edge_model, save_frame, sim3_record
 from radiant_core.io.run_store import read_json, write_json
 
 REFUSED_NAME, CORRECTIONS_NAME = "refused.json", "corrections.json"

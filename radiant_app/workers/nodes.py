@@ -33,9 +33,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from radiant_app.events import Decided, Event, Warned
+from radiant_app.reporting import Emit, EventReporter
 from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.redaction import make_redactor
-from radiant_app.workers.reporting import Emit, EventReporter
 from radiant_app.workers.tasks import TASKS, SfmTask, receive_task
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints, save_signed_model, train_from_folder
 from radiant_core.errors import BadInput
@@ -133,8 +133,8 @@ def run_device(folder: Path, task: DeviceTask, reporter: EventReporter) -> Seque
 def run_edge(folder: Path, task: EdgeTask, reporter: EventReporter) -> Sequence[str]:
     """Join the devices' models, or train one with them."""
     from radiant_app.workers.inbox import receive_device_models, save_joining
+    from radiant_core.hierarchy.codec import save_edge_model
     from radiant_core.hierarchy.edge import join_edge
-    from radiant_core.io.messages import save_edge_model
 
     if task.group is not None:
         from radiant_app.workers.groups import run_group_edge
@@ -162,7 +162,7 @@ def run_cloud(folder: Path, task: CloudTask, reporter: EventReporter) -> Sequenc
         return run_group_cloud(folder, task, task.group, reporter)
     from radiant_app.workers.inbox import receive_edge_models, save_joining
     from radiant_core.hierarchy.cloud import join_cloud
-    from radiant_core.io.messages import NOTHING
+    from radiant_core.hierarchy.codec import NOTHING
     from radiant_core.io.ply import save_ply
 
     models = receive_edge_models(folder, task.edges)

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.field_nodes import OWN_POSES, run_field, run_positions
 from radiant_app.workers.redaction import OWN_SOURCE
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import CountTask, FieldTask, OwnFieldTask, PlacingTask, PositionsTask, RasterTask
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.messages import DeviceSettings

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from radiant_app.workers.strangers import WRONG, Told, parse_record
+from radiant_app.strangers import WRONG, Told, parse_record
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.delivering import belongs_to_run, deliver, find_refusals
 from radiant_app.workers.inbox import REFUSED_NAME
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import OWN_NAME, AverageTask, FinishTask, Move, RefinementsTask, RefineNodeTask
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene, start_of_next_round
@@ -25,9 +25,9 @@ from radiant_core.aggregate.tree import refined_at
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.geometry.similarity import move_cameras
+from radiant_core.hierarchy.codec import CAMERAS_NAME, load_refinement, save_refinement
 from radiant_core.hierarchy.decisions import refinement_decision
 from radiant_core.io.array_file import header_of, load_arrays, save_arrays
-from radiant_core.io.messages import CAMERAS_NAME, load_refinement, save_refinement
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_scene
 from radiant_core.io.run_store import read_json, write_json

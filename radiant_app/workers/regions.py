@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_app.workers.reporting import EventReporter
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.tasks import PlannedEdge, RegionsTask
 from radiant_core.errors import BadInput
 from radiant_core.io.records import save_plan

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, FiniteFloat, TypeAdapter, model_validator
 
-from radiant_app.workers.strangers import Told, parse_record
+from radiant_app.strangers import Told, parse_record
 from radiant_core.choices import Version
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.seam_excess import BorderError

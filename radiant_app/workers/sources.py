@@ -3,6 +3,7 @@ folder."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig, SfmProgress, SfmResult
-from radiant_core.sfm.intake import AS_FOUND, Intake
+from radiant_core.sfm.intake import AS_FOUND, FACE_MASKS, FACES, Intake
 from radiant_core.sfm.world_frame.placement import Placement
 
 if TYPE_CHECKING:
@@ -145,7 +146,9 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
     given = None if task.masks is None else Path(task.masks)
     names = photograph_names(prepared.images)
     with masks_in_use(given, task.intake.mask_ignores, prepared.images, names, folder) as masks:
-        result = _reconstruct(task, prepared, masks.folder, folder, report)
+        cut, masks_folder = faces_of(task, prepared, masks.folder, folder, report)
+        result = _reconstruct(task, cut, masks_folder, folder, report)
+    prepared = replace(cut, decisions=(*prepared.decisions, *cut.decisions), warnings=(*prepared.warnings, *cut.warnings))
     notes = (*notes_on_source(Path(task.source), poses_of(task)), *prepared.warnings)
     return replace(
         result,
@@ -185,9 +188,60 @@ def prepare_photographs(task: SfmTask, folder: Path, report: Callable[[SfmProgre
     return PreparedPhotographs(kind="photographs", images=taken.folder, model=None, decisions=(taken.decision,), warnings=taken.warnings)
 
 
+def faces_of(
+    task: SfmTask, prepared: PreparedPhotographs, masks: Path | None, folder: Path, report: Callable[[SfmProgress], None]
+) -> tuple[PreparedPhotographs, Path | None]:
+    """The faces of panoramas in place of them, and of their masks; all as it is where there are
+    none. Photographs that come with poses are left to who reads those."""
+    from radiant_core.io.panoramas.recognise import find_panoramas
+
+    names = photograph_names(prepared.images)
+    if prepared.kind != "photographs":
+        if task.intake.panoramas is not None:
+            raise BadInput(f"--panoramas is of photographs without poses, and {prepared.images} comes with poses: leave it out.")
+        if prepared.kind != "alignment":
+            shutil.rmtree(folder / FACES, ignore_errors=True)
+        return replace(prepared, decisions=(), warnings=()), masks
+    found = find_panoramas(prepared.images, names, task.intake.panoramas)
+    if not found.names:
+        shutil.rmtree(folder / FACES, ignore_errors=True)
+        return replace(prepared, decisions=(), warnings=found.warnings), masks
+    return _cut(task, prepared, masks, folder, report)
+
+
+def _cut(
+    task: SfmTask, prepared: PreparedPhotographs, masks: Path | None, folder: Path, report: Callable[[SfmProgress], None]
+) -> tuple[PreparedPhotographs, Path | None]:
+    from radiant_core.io.panoramas.cutting import cut_masks, cut_panoramas
+    from radiant_core.io.photos.listing import photograph_size_wh
+    from radiant_core.io.photos.masks import find_masks
+
+    names = photograph_names(prepared.images)
+    faces = cut_panoramas(
+        prepared.images,
+        names,
+        folder / FACES,
+        lambda done, total: report(SfmProgress(phase="cutting panoramas", done=done, total=total)),
+    )
+    if masks is not None:
+        sizes = {name: size_wh for name in names if (size_wh := photograph_size_wh(prepared.images / name)) is not None}
+        cut_masks(find_masks(masks, names), sizes, folder / FACE_MASKS, faces)
+        masks = folder / FACE_MASKS
+    said = f"{len(names)} photographs are panoramas: each becomes {len(faces.rig.faces)} faces of {faces.size_px} px, placed as one rig."
+    return PreparedPhotographs(
+        kind="photographs",
+        images=faces.folder,
+        model=None,
+        decisions=(faces.decision(len(names), forced=task.intake.panoramas == "all"),),
+        warnings=(said,),
+    ), masks
+
+
 def photographs_of_task(task: SfmTask, folder: Path) -> Path:
     """Where the photographs lie, as taken, that structure from motion in `folder` has used."""
     kind, images, _ = detect_source(Path(task.source), poses_of(task))
+    if (folder / FACES).is_dir():
+        return folder / FACES
     return folder / FRAMES if kind == "film" else images
 
 
@@ -203,8 +257,8 @@ def _reconstruct(
         assert model is not None
         if task.refine_poses:
             given = Alignment(path=model, photos=images, refine_poses=True)
-            return scene_from_rough_colmap(given, folder, report, masks, task.placement)
-        return scene_from_colmap(model, images, folder, report, masks, task.placement)
+            return _named_model(model, scene_from_rough_colmap(given, folder, report, masks, task.placement))
+        return _named_model(model, scene_from_colmap(model, images, folder, report, masks, task.placement))
     if kind == "alignment":
         assert model is not None
         given = Alignment(path=model, photos=images, refine_poses=task.refine_poses)
@@ -224,6 +278,14 @@ def _reconstruct(
             )
         return scene_from_mill19(images, folder, report, masks=masks)
     return reconstruct(images, folder, task.sfm, report, masks, task.placement)
+
+
+def _named_model(model: Path, result: SfmResult) -> SfmResult:
+    """The result with a first line that says which COLMAP model was used, as those of alignments
+    have."""
+    name = f"sparse/{model.name}" if model.parent.name == "sparse" else model.name
+    said = f"{name} of COLMAP gives the poses of {len(result.scene.cameras)} photographs and {len(result.scene.points)} points."
+    return replace(result, warnings=(said, *result.warnings))
 
 
 def save_given_frames(folder: Path, result: SfmResult) -> list[str]:

@@ -28,6 +28,7 @@ from radiant_app.workers.delivering import accept_task, belongs_to_run, conducts
 from radiant_core.choices import Effort, LightMode, LpipsNetwork, Matching, PlanMethod, UploadFormat, Version
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
+from radiant_core.hierarchy.codec import load_task, sim3_of
 from radiant_core.hierarchy.messages import (
     CloudTask,
     Count,
@@ -40,7 +41,6 @@ from radiant_core.hierarchy.messages import (
     RefineTask,
     Renderer,
 )
-from radiant_core.io.messages import load_task, sim3_of
 from radiant_core.io.transport.delivery import Kind
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.paper_config import PaperConfig

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.memory import EDGES_AT_ONCE, available_bytes, base_bytes_in, resident_bytes
-from radiant_app.workers.reporting import EventReporter
 
 if TYPE_CHECKING:
     from radiant_core.hierarchy.messages import DeviceModel, DeviceTask
@@ -39,7 +39,7 @@ def train_from_folder(folder: Path, task: DeviceTask, images: Path, reporter: Ev
 def save_signed_model(folder: Path, task: DeviceTask, model: DeviceModel, reporter: EventReporter) -> list[str]:
     """Write and sign a device's model; returns the names of the files. One that was trained
     together with others stays here, unsigned: the root has it."""
-    from radiant_core.io.messages import save_device_model
+    from radiant_core.hierarchy.codec import save_device_model
 
     if task.seat is not None:
         return save_device_model(folder, model, "float32", reporter.warn)

@@ -11,7 +11,7 @@ import pytest
 from radiant_app.events import Listener
 from radiant_app.files.run_folder import Manifest
 from radiant_app.report import html
-from radiant_app.run.prediction_error import SYSTEM_NAME
+from radiant_app.report.prediction_error import SYSTEM_NAME
 
 BLANK = np.full((2, 2, 3), 255, np.uint8)
 
@@ -31,7 +31,7 @@ def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
 
 
 def _save_blank_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borders: bool) -> dict[str, Path]:
-    names = ["timeline", "regions", "cameras"]
+    names = ["timeline", "regions", "regions_phone", "cameras"]
     names += ["gantt"] if (run / SYSTEM_NAME).is_file() else []
     names += ["timeline_emulated"] if manifest.emulated else []
     names += ["seams"] if has_borders else []

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.steps import sfm
+from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.steps import sfm
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event
 from radiant_app.report.progress import ProgressDisplay

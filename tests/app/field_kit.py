@@ -8,7 +8,7 @@ from pathlib import Path
 
 from radiant_app.config.run_config import TrainOptions
 from radiant_app.events import Event
-from radiant_app.workers.reporting import EventReporter
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.tasks import PlacingTask, SfmSettings
 
 TINY = TrainOptions(long_side_px=96, num_steps=60, max_num_splats=1500)

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 import generate
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from scenegen.config import SceneConfig
 
 

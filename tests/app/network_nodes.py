@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from radiant_app.commands import node as commands
+from radiant_app.commands.network import node as commands
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.network.home import Listening, make_home
 from radiant_core.errors import RadiantError

@@ -14,13 +14,14 @@ from typing import Any, Literal
 
 import pytest
 
-from radiant_app.commands import node as commands
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.network import node as commands
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import encode
-from radiant_app.executors import local, network
+from radiant_app.executors import local
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.executors.sessions import signal_session
+from radiant_app.network import executor as network
 from radiant_app.network import hub
 from radiant_app.network import line as lines
 from radiant_app.run import over_network

@@ -11,13 +11,13 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from radiant_app.commands import node as commands
+from radiant_app.commands.network import node as commands
 from radiant_app.network.home import Listening, make_home, open_home
 from radiant_app.network.hub import Hub, open_hub
 from radiant_app.network.kinds import RESULT_FILES
 from radiant_app.network.line import Line
 from radiant_core import __version__
-from radiant_core.io.messages import MODEL_NAME
+from radiant_core.hierarchy.codec import MODEL_NAME
 from radiant_core.io.transport.delivery import describe_files
 from radiant_core.io.transport.envelope import open_envelope
 from tests.app.network_nodes import listening

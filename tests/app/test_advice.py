@@ -36,11 +36,11 @@ def test_the_other_choice_of_trials_that_lost_little_comes_first_and_best_first(
 @pytest.mark.parametrize(
     ("figures", "said"),
     [
-        ({"num_photographs": 40, "num_unplaced": 20}, "20 of 60 photographs have no place"),
+        ({"num_photographs": 40, "num_unplaced": 20}, "20 of 60 photographs could not be placed"),
         ({"views_per_point": 2.2}, "seen by 2.2 photographs"),
         ({"num_photographs": 12}, "12 photographs are few"),
-        ({"psnr_cc_db": 19.0}, "gains 4.0 dB: light differs"),
-        ({"training": {"num_steps": 100, "num_photographs": 50}}, "showed each photograph 2 times"),
+        ({"psnr_cc_db": 19.0}, "gains 4.0 dB, so the light differs"),
+        ({"training": {"num_steps": 100, "num_photographs": 50}}, "used each photograph 2 times"),
     ],
     ids=["unplaced", "overlap", "few", "light", "steps"],
 )

@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+import importlib
+import json
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
-from radiant_app.commands.export import export
-from radiant_app.commands.export_request import ExportRequest
-from radiant_app.commands.train import TrainRequest, train
+from radiant_app.commands.export.export import export
+from radiant_app.commands.export.request import ExportRequest
+from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.source_key import used_files
-from radiant_app.workers.sources import NO_POSES, detect_source, reconstruct_source, sfm_task
+from radiant_app.workers.sources import NO_POSES, detect_source, load_scene_of, reconstruct_source, sfm_task
 from radiant_core.errors import BadInput
+from radiant_core.georef.given_frame import load_given_frame
 from radiant_core.io.colmap.model import read_model
+from radiant_core.io.model_reader import read_model as read_splats
 from radiant_core.io.photos.masks import save_mask
+from radiant_core.io.ply import save_ply
 from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.pose_project import read_named, said_of
 from radiant_core.sfm.world_frame.placement import Placement
+from radiant_core.splats import Splats
 from radiant_core.train.needs import Overrides
-from tests.colmap_projects import center_of, hamlet_model, write_model
+from tests.colmap_projects import HAMLET, center_of, hamlet_model, write_model
 from tests.core.io.poses import writers
 from tests.core.io.poses.bent_hamlet import Truth, bent_hamlet
 from tests.core.io.poses.test_readers import ECEF
@@ -62,6 +70,8 @@ def test_an_alignment_is_found_by_itself_with_all_its_files(name: str, project) 
     assert detect_source(folder) == ("alignment", folder / "images", path) and path == folder / name
     used = used_files(folder, None)
     assert name in used and len(used) > len(truth.names)
+    said = said_of(read_named(path, folder / "images"))
+    assert " of " in said and "gives the poses of 12 photographs" in said and "\n" not in said
     assert detect_source(folder, NO_POSES)[0] == "photographs"
 
 
@@ -101,6 +111,17 @@ def test_a_file_that_is_no_alignment_can_be_left_aside(project, tmp_path: Path) 
         reconstruct_source(
             sfm_task(folder, SfmConfig(), None, Placement(), NO_POSES, refine_poses=True), tmp_path / "w", lambda progress: None
         )
+
+
+def test_a_colmap_project_is_named_in_one_line(project, tmp_path: Path) -> None:
+    folder, _ = project
+    for path in (folder / "images").iterdir():
+        shutil.copy(HAMLET / "images" / path.name, path)
+    write_model(folder / "sparse" / "0", hamlet_model())
+    result = reconstruct_source(sfm_task(folder, SfmConfig(), None, Placement()), tmp_path / "work", lambda progress: None)
+    assert result.warnings[0] == f"sparse/0 of COLMAP gives the poses of 12 photographs and {len(result.scene.points)} points."
+    (check,) = (decision for decision in result.decisions if decision.topic == "poses")
+    assert check.choice == "those of 0 of COLMAP" and check.figure is not None and check.figure < 0.01
 
 
 def test_poses_of_a_colmap_model_are_adjusted_too(project, tmp_path: Path) -> None:
@@ -153,6 +174,54 @@ def test_a_training_says_what_it_used_and_exports_in_the_coordinates_of_the_file
         assert len(given) == 12
         assert max(np.abs(given[name] - centers[number]).max() for number, name in enumerate(truth.names)) < 1e-3
         assert (tmp_path / f"{out.name}.prj").is_file() == (place == "utm")
+    points = truth.points @ ECEF[:3, :3].T + ECEF[:3, 3] if place == "ecef" else truth.points + (writers.UTM if place == "utm" else 0)
+    require_known_points(tmp_path / "out", points, tmp_path, ("given", "EPSG:25832") if place == "utm" else ("given",))
+
+
+def require_known_points(trained: Path, points: np.ndarray, folder: Path, systems: tuple[str, ...]) -> None:
+    """A model of Gaussians at points whose coordinates in the file are known goes out within 1 mm in every form of a model; SOG
+    has 16 bits for ln(1 + |x|), steps of up to 3 mm here."""
+    given = load_given_frame(trained)
+    assert given is not None
+    inside = given.given_from_scene.inverse().apply(points).astype(np.float32)
+    count = len(inside)
+    model = Splats(
+        means=inside,
+        quats=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        log_scales=np.full((count, 3), -4, np.float32),
+        logit_opacities=np.full(count, 3, np.float32),
+        sh0=np.zeros((count, 1, 3), np.float32),
+        shN=np.zeros((count, 0, 3), np.float32),
+    )
+    save_ply(trained / "scene.ply", model)
+    for crs in systems:
+        for name in ("a.ply", "b.spz", "c.sog", "d.usdc"):
+            out = folder / f"{crs}_{name}".replace(":", "_")
+            figures = export(ExportRequest(model=trained, out=out, crs=crs), quiet_display())
+            offset = np.array([float(number) for number in str(figures["offset"]).partition(" (")[0].split(", ")])
+            written = usd_positions(out) if name == "d.usdc" else read_splats(out).splats.means
+            away_m, nearest = KDTree(written.astype(np.float64)).query(points - offset)
+            assert away_m.max() < (3e-3 if name == "c.sog" else 1e-3), (crs, name)
+            assert len(set(nearest.tolist())) > 0.9 * count
+        out = folder / f"{crs}_nerfstudio".replace(":", "_")
+        figures = export(ExportRequest(model=trained, out=out, crs=crs, format="nerfstudio"), quiet_display())
+        offset = np.array([float(number) for number in str(figures["offset"]).partition(" (")[0].split(", ")])
+        frames = json.loads((out / "transforms.json").read_text())
+        places = {Path(frame["file_path"]).name: np.array(frame["transform_matrix"])[:3, 3] for frame in frames["frames"]}
+        applied = np.array(frames.get("applied_transform", np.eye(3, 4)))
+        scene = load_scene_of(trained).cameras
+        wanted = given.given_from_scene.apply(scene.centers)
+        for row, camera in enumerate(scene.names):
+            # applied_transform leads from the original to what the file holds.
+            original = applied[:, :3].T @ (places[Path(camera).name] - applied[:, 3])
+            assert np.abs(original + offset - wanted[row]).max() < 1e-3
+
+
+def usd_positions(path: Path) -> np.ndarray:
+    usd, vol = (importlib.import_module(f"pxr.{name}") for name in ("Usd", "UsdVol"))
+
+    stage = usd.Stage.Open(str(path))
+    return np.array(vol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/Scene/Splats")).GetPositionsAttr().Get())
 
 
 def quiet_display() -> ProgressDisplay:

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.batch import BatchResult, JobResult
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.batch import BatchResult, JobResult
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_core.io.records import load_plan
 
 HAMLET = sample_scenes_folder() / "hamlet"

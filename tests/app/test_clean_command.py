@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from radiant_app.cli.app import app
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Cleaning, SupportStep
-from radiant_core.io.cleaning_file import save_cleaning
+from radiant_core.geometry.cleaning_file import save_cleaning
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.splats import concatenate_splats
 from radiant_viewer.pictures.images import load_image
@@ -88,14 +88,14 @@ def test_steps_add_up_and_are_taken_back_one_by_one(run: Path) -> None:
         "high": 2.0,
         "corners": [[-130.0, -80.0], [0.0, -80.0], [0.0, 0.0], [-130.0, 0.0]],
     }
-    assert "left out: what is kept is" in radiant("clean", run)
+    assert "left out; kept:" in radiant("clean", run)
 
 
 def test_support_is_measured_once_and_follows_what_is_kept(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save_cleaning(run / "cleaning.json", Cleaning(steps=(SupportStep(),)))
     with pytest.raises(BadInput, match=r"radiant clean .* --measure"):
         load_run_view(run)
-    monkeypatch.setattr("radiant_app.commands.clean.MEASURED_LONG_SIDE_PX", 96)
+    monkeypatch.setattr("radiant_app.commands.model.clean.MEASURED_LONG_SIDE_PX", 96)
     said = cleaned(run, "--measure")
     assert 1 <= said["left_out"] < 9000
     view = load_run_view(run)

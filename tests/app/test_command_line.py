@@ -12,7 +12,7 @@ import pytest
 
 TELLS = """
 import sys
-from radiant_app.commands import doctor
+from radiant_app.commands.machine import doctor
 from radiant_app.cli.app import main
 from radiant_app.events import Warned
 from radiant_app.report.progress import terminal_display
@@ -26,19 +26,19 @@ def examine(*_):
     return []
 
 doctor.examine, place = examine, sys.argv[1]
-sys.argv = ["radiant", "doctor"]
+sys.argv = ["radiant", "machine", "check"]
 main()
 """
 FAILS = """
 import sys
-from radiant_app.commands import doctor
+from radiant_app.commands.machine import doctor
 from radiant_app.cli.app import main
 
 def examine(*_):
     raise {error}
 
 doctor.examine = examine
-sys.argv = ["radiant", "doctor"]
+sys.argv = ["radiant", "machine", "check"]
 main()
 """
 
@@ -80,7 +80,7 @@ def test_a_result_that_cannot_be_printed_says_where_it_lies(option: list[str], t
     script = f"""
 import sys
 from pathlib import Path
-from radiant_app.commands import steps as commands
+from radiant_app.commands.run import steps as commands
 from radiant_app.cli.app import main
 
 def sfm(source, out, *others, **options):
@@ -99,7 +99,9 @@ main()
 
 def test_a_working_folder_that_is_gone_gets_one_sentence(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
-    script = "import os, sys; from radiant_app.cli.app import main; os.rmdir(os.getcwd()); sys.argv = ['radiant', 'doctor']; main()"
+    script = (
+        "import os, sys; from radiant_app.cli.app import main; os.rmdir(os.getcwd()); sys.argv = ['radiant', 'machine', 'check']; main()"
+    )
     gone.mkdir()
     process = ended(script, cwd=gone)
     assert (process.returncode, process.stderr.count("\n")) == (2, 1) and "does not exist any more" in process.stderr

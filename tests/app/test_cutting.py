@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.bench.cells import BenchScene, Layout, ModelCache, bench_settings, deal_cell
-from radiant_app.bench.options import BenchOptions
-from radiant_app.commands.plan import PlanRequest, plan
+from benchmarks.methods.cells import BenchScene, Layout, ModelCache, bench_settings, deal_cell
+from benchmarks.options import BenchOptions
+from radiant_app.commands.plan.plan import PlanRequest, plan
 from radiant_app.config.run_config import PlanOptions, RunConfig
 from radiant_app.files.run_folder import Manifest, recorded_config
 from radiant_app.files.system_file import even_system

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import radiant_app
-from radiant_app.commands.demo import demo_config, sample_scenes_folder
+from radiant_app.commands.run.demo import demo_config, sample_scenes_folder
 from radiant_core.errors import BadInput
 
 ROOT = Path(__file__).parents[2]

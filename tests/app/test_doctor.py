@@ -1,4 +1,4 @@
-"""What `radiant doctor` finds, how each lack is mended, and what it says of a run's time."""
+"""What `radiant machine check` finds, how each lack is mended, and what it says of a run's time."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands import doctor
-from radiant_app.commands.doctor_forecast import duration_text, forecast
+from radiant_app.commands.machine import doctor
+from radiant_app.commands.machine.forecast import duration_text, forecast
 from radiant_app.run.predictions import planned_training
 from radiant_app.run.this_machine import MEMORY_SHARE
 from radiant_core.errors import BadInput
@@ -97,7 +97,7 @@ def test_every_lack_has_a_line_with_what_mends_it(monkeypatch: pytest.MonkeyPatc
     assert all(finding.advice for finding in lacking)
     lines = doctor.table(list(findings.values())).splitlines()
     assert any("→ " in line and "'radiant-splats[sfm]'" in line for line in lines)
-    assert findings["free memory"].advice and "radiant profile --out" in findings["a run of 100 photographs"].advice
+    assert findings["free memory"].advice and "radiant machine profile --out" in findings["a run of 100 photographs"].advice
 
 
 def test_a_card_that_torch_was_not_built_for_is_named_with_the_way_to_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,7 +113,7 @@ def test_a_card_that_torch_was_not_built_for_is_named_with_the_way_to_use_it(mon
 
 
 def test_the_command_takes_a_profile_and_refuses_what_is_none(curves: Path, tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["doctor", "--photographs", "40", "--profile", str(curves), "--json"])
+    result = CliRunner().invoke(app, ["machine", "check", "--photographs", "40", "--profile", str(curves), "--json"])
     rows = {row["name"]: row for row in json.loads(result.stdout)}
     assert rows["a run of 40 photographs"]["found"].startswith("about ") and result.exit_code == 0
     with pytest.raises(BadInput, match="cannot be read"):

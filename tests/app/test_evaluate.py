@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from radiant_app.cli.app import app
-from radiant_app.commands.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.model.evaluate import EvaluateRequest, evaluate
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import png_bytes
 from radiant_core.cameras import Cameras

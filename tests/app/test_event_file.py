@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.inspect_feeds import feeds_of
+from radiant_app.commands.inspect.feeds import feeds_of
 from radiant_app.events import Event, Failed, StageDone, StageProgress, StageSkipped, StageStarted, TimeLeft, Warned
 from radiant_app.files.event_file import EVENTS_NAME, EventFile, read_progress
 from radiant_core.errors import BadInput
@@ -62,7 +62,7 @@ def test_a_watcher_hears_that_a_run_was_resumed_and_reads_only_what_is_new(tmp_p
         readings.append(run)
         return read_progress(run)
 
-    monkeypatch.setattr("radiant_app.commands.inspect_feeds.read_progress", counted)
+    monkeypatch.setattr("radiant_app.commands.inspect.feeds.read_progress", counted)
     write_json(tmp_path / "manifest.json", {"status": "interrupted"})
     with EventFile(tmp_path, lambda event: None) as tell:
         tell(StageStarted(stage="sfm"))

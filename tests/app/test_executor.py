@@ -25,8 +25,8 @@ from radiant_app.events import (
 from radiant_app.executors import local
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.memory import EDGES_AT_ONCE
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.training import make_machine
 from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision

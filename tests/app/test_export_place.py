@@ -16,9 +16,9 @@ from typer.testing import CliRunner, Result
 from radiant_app.cli.app import app
 from radiant_app.workers.sources import load_scene_of
 from radiant_core.errors import BadInput
+from radiant_core.export.sog import save_sog
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.colmap.model import read_model
-from radiant_core.io.export.sog import save_sog
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_scene
 

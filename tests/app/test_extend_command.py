@@ -1,4 +1,4 @@
-"""`radiant extend`: the new region's cameras stand where its model was moved to."""
+"""`radiant join`: the new region's cameras stand where its model was moved to."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.extend import _virtual_cameras
+from radiant_app.commands.model.extend import _virtual_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
-from radiant_core.io.messages import VIRTUAL_CAMERAS, sim3_record
+from radiant_core.hierarchy.codec import VIRTUAL_CAMERAS, sim3_record
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import write_json
 from radiant_core.render.trajectories import Lens, cameras_looking_at

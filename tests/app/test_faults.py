@@ -29,7 +29,6 @@ from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.frames import Frame, geodetic_from_enu
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.records import load_plan, save_plan
-from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -38,6 +37,7 @@ from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset
+from radiant_core.waypoints.reader import read_waypoints
 from tests.core.scenes import cameras_above
 
 

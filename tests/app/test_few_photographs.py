@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.doctor_forecast import forecast
+from radiant_app.commands.machine.forecast import forecast
 from radiant_app.config.run_config import PlanOptions, RunConfig
 from radiant_app.events import Decided, Event, Warned
 from radiant_app.files.system_file import dump_system, even_system

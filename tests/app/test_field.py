@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import EvaluateOptions, RunConfig, SfmOptions
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
 from radiant_app.executors.fork_server import SWITCH
@@ -26,8 +26,8 @@ from radiant_app.run.progress import Progress
 from radiant_app.workers.field_nodes import _place, _place_once, run_field, run_positions
 from radiant_app.workers.redaction import NOTES_NAME
 from radiant_app.workers.tasks import FieldTask, PositionsTask
+from radiant_core.hierarchy.codec import load_task, save_task
 from radiant_core.hierarchy.joining import are_one_group
-from radiant_core.io.messages import load_task, save_task
 from radiant_core.io.photos.listing import photograph_positions
 from radiant_core.io.records import load_cameras
 from radiant_core.light.captures import CAPTURES_NAME

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.extend import ExtendRequest, extend
-from radiant_app.commands.replan import ReplanRequest, replan_files
+from radiant_app.commands.model.extend import ExtendRequest, extend
+from radiant_app.commands.plan.replan import ReplanRequest, replan_files
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Decided, Event, Failed, StageProgress, Warned, encode
 from radiant_app.files.event_file import read_progress
@@ -30,7 +30,7 @@ from radiant_app.workers.tasks import FieldTask, PositionsTask
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.messages import save_task
+from radiant_core.hierarchy.codec import save_task
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import radiant_app.report.html
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import PlanOptions, RunConfig, SfmOptions
 from radiant_app.events import Event, StageDone, Warned
 from radiant_app.run.pipeline import RunResult, run

@@ -9,18 +9,21 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.steps import sfm
-from radiant_app.commands.train import TrainRequest, train
+from radiant_app.commands.run.steps import sfm
+from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.config.run_config import RunConfig, SfmOptions, TrainOptions
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.source_key import used_files
-from radiant_app.workers.sources import NO_POSES, detect_source, load_scene_of, notes_on_source
+from radiant_app.run.source_key import source_key, used_files
+from radiant_app.workers.sources import NO_POSES, detect_source, load_scene_of, notes_on_source, sfm_task
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.photos.listing import photograph_positions
+from radiant_core.io.photos.masks import save_mask
+from radiant_core.io.run_store import SEAL_NAME
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.intake import Intake
 from radiant_core.sfm.known_poses import cameras_of
+from radiant_core.sfm.world_frame.placement import Placement
 from tests.core.io.film.films import HAMLET, photographs, shaken, srt, write_film
 
 TINY = TrainOptions(long_side_px=96, num_steps=20, max_num_splats=1500)
@@ -73,7 +76,7 @@ def test_films_beside_photographs_are_left_and_asked_for_in_one_place_only(fligh
     assert detect_source(tmp_path)[0] == "photographs"
     with pytest.raises(BadInput, match="expected 3 or more"):
         RunConfig(source=flight, out=tmp_path / "out", sfm=SfmOptions(film_frames=2)).sfm.intake  # noqa: B018
-    with pytest.raises(BadInput, match="--mask-ignores and --film-frames are of photographs in one place"):
+    with pytest.raises(BadInput, match="--film-frames and --panoramas are of photographs in one place"):
         RunConfig(source=flight, out=tmp_path / "out", sfm=SfmOptions(film_frames=20), frames="gps")
 
 
@@ -87,3 +90,21 @@ def test_frames_of_a_film_take_no_poses(flight: Path, tmp_path: Path) -> None:
             detect_source(source, tmp_path / "transforms.json")
         with pytest.raises(BadInput, match="no poses to adjust: leave out --refine-poses"):
             sfm(source, tmp_path / "out", SfmConfig(), quiet(), refine_poses=True)
+
+
+def test_masks_of_a_films_frames_are_among_the_files_that_a_scene_is_made_from(flight: Path, tmp_path: Path) -> None:
+    mask = tmp_path / "masks" / "film_DJI_0007" / "DJI_0007_000001.png"
+    save_mask(mask, np.ones((240, 320), bool))
+    (tmp_path / "masks" / "note.txt").write_text("no mask")
+    assert set(used_files(flight, tmp_path / "masks")) == {"DJI_0007.MP4", "DJI_0007.SRT", "mask film_DJI_0007/DJI_0007_000001.png"}
+    config = RunConfig(source=flight, out=tmp_path / "out", sfm=SfmOptions(masks=tmp_path / "masks"))
+    task = sfm_task(flight, SfmConfig(), tmp_path / "masks", Placement())
+    work = tmp_path / "out" / "sfm"
+    work.mkdir(parents=True)
+    first = source_key(config, task, work, lambda event: None)
+    (work / SEAL_NAME).write_text("{}")
+    assert source_key(config, task, work, lambda event: None) == first
+    save_mask(mask, np.eye(240, 320) > 0)
+    told: list[str] = []
+    assert source_key(config, task, work, lambda event: told.append(getattr(event, "message", ""))) != first
+    assert "1 with other content (mask film_DJI_0007/DJI_0007_000001.png): structure from motion" in told[0]

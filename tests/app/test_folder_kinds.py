@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.evaluate import EvaluateRequest, evaluate
-from radiant_app.commands.steps import require_run
-from radiant_app.commands.train import TrainRequest, train
+from radiant_app.commands.model.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.run.steps import require_run
+from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.files.system_file import even_system
 from radiant_app.run.captured import device_folders
 from radiant_app.workers.folder_kinds import kind_of, named_folder

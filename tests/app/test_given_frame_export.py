@@ -12,9 +12,9 @@ import pytest
 from rich.console import Console
 from scipy.spatial import KDTree
 
-from radiant_app.commands.export import export
-from radiant_app.commands.export_request import ExportRequest
-from radiant_app.commands.train import TrainRequest, train
+from radiant_app.commands.export.export import export
+from radiant_app.commands.export.request import ExportRequest
+from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.georef.given_frame import load_given_frame

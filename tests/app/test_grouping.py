@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.exchange_time import measure_exchange
+from radiant_app.commands.machine.exchange_time import measure_exchange
 from radiant_app.config.fields import config_of
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, TrainOptions
 from radiant_app.events import Decided, Event

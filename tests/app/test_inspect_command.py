@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.inspect import plan_file_of, plan_setting, run_setting, save_picture
-from radiant_app.commands.plan import PlanRequest, plan
-from radiant_app.commands.plan_content import ContentRequest
+from radiant_app.commands.inspect.window import plan_file_of, plan_setting, run_setting, save_picture
+from radiant_app.commands.plan.content import ContentRequest
+from radiant_app.commands.plan.plan import PlanRequest, plan
 from radiant_app.files.constraints_file import dump_constraints, load_constraints
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.stages import require_plan
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_plan_waypoints, load_scene, save_plan, save_scene
-from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.plan.borders.footprints import Optics
 from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.waypoints import Waypoints
+from radiant_core.waypoints.reader import read_waypoints
 from radiant_viewer.editing.edited_plan import border_weight_m2
 from radiant_viewer.editing.plan_editor import PlanEditor
 from radiant_viewer.editing.plan_edits import FixWeight, LockRegion, PinCameras

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.aggregate import aggregate
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.model.aggregate import aggregate
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import AggregateOptions, RunConfig, TrainOptions
 from radiant_app.events import Event, StageDone
 from radiant_app.report.progress import ProgressDisplay
@@ -41,7 +41,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def config_of(source: Path, out: Path) -> RunConfig:
     # By default the cloud would fit nothing after so short trainings.
-    aggregate = AggregateOptions(settings={"edge_epochs": 2, "num_epochs": 2})
+    aggregate = AggregateOptions(settings={"edge_epochs": 2, "cloud_epochs": 2})
     return RunConfig(source=source, out=out, train=TrainOptions(long_side_px=128, num_steps=200), aggregate=aggregate, plan=FOUR)
 
 
@@ -88,7 +88,7 @@ def test_what_the_cloud_cannot_join_is_cut_with_a_warning_and_what_its_edges_joi
     assert joined_db > cut_db + 0.1 and cut_db > held_out_db(trained, plainly_cut(trained)) + 1.0
     assert "raise that limit under [cloud] in the system file of the next run" in views_warning
     assert "free memory there and go on with --resume" in warning
-    assert all("radiant aggregate RUN" in text for text in (warning, views_warning))
+    assert all("radiant join RUN" in text for text in (warning, views_warning))
 
 
 def test_what_exceeds_the_clouds_memory_by_little_is_joined_in_tiles_as_well_as_at_once(
@@ -105,7 +105,7 @@ def test_what_exceeds_the_clouds_memory_by_little_is_joined_in_tiles_as_well_as_
 
 
 def test_what_a_warning_of_a_cut_advises_does_join(trained: Path, tmp_path: Path) -> None:
-    """A run whose cloud had too little memory: `--resume` with more, and `radiant aggregate` of the same models."""
+    """A run whose cloud had too little memory: `--resume` with more, and `radiant join` of the same models."""
     folder = tmp_path / "run"
     shutil.copytree(trained, folder)
     scene, config = load_ply(trained / "scene.ply"), config_of(trained.parent / "town", folder)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.steps import sfm
+from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.steps import sfm
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.io.run_store import read_json
 from radiant_core.sfm.config import SfmConfig

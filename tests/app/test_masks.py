@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.steps import sfm
-from radiant_app.commands.train import TrainRequest, train
+from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.steps import sfm
+from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.config.run_config import RunConfig, SfmOptions, TrainOptions
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.dealing import count_received, deal_masks

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands.measure_scale import known_scale
+from radiant_app.report.known_scale import known_scale
 from radiant_core.frames import Frame
 from radiant_core.io.measures_file import figures_text, load_measures
 from radiant_core.io.run_store import write_json

@@ -5,34 +5,43 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
+import shutil
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.clean import CleanRequest, clean
-from radiant_app.commands.evaluate import EvaluateRequest, evaluate
-from radiant_app.commands.export import export
-from radiant_app.commands.export_request import ExportRequest
-from radiant_app.commands.inspect import Picture, plan_file_of, save_picture
-from radiant_app.commands.measure import export_measures
-from radiant_app.commands.render import RenderRequest, render
+from radiant_app.commands.export.export import export
+from radiant_app.commands.export.request import ExportRequest
+from radiant_app.commands.inspect import view as view_command
+from radiant_app.commands.inspect.window import Picture, plan_file_of, save_picture
+from radiant_app.commands.model import extend as extend_command
+from radiant_app.commands.model.clean import CleanRequest, clean
+from radiant_app.commands.model.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.model.given_model import given_model
+from radiant_app.commands.model.render import RenderRequest, render
+from radiant_app.commands.survey.measure import export_measures
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.workers.reporting import EventReporter
+from radiant_app.reporting import EventReporter
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
+from radiant_core.export.scene import save_spz
+from radiant_core.export.sog import save_sog
 from radiant_core.frames import Frame
 from radiant_core.hierarchy.cloud import join_cloud
+from radiant_core.hierarchy.codec import TASK_NAME, message_record
 from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension
-from radiant_core.io.export.scene import save_spz
-from radiant_core.io.export.sog import save_sog
 from radiant_core.io.measures_file import load_measures
 from radiant_core.io.model_reader import read_model
 from radiant_core.io.ply import save_ply
+from radiant_core.io.run_store import write_json
 from radiant_core.render.trajectories import Lens, cameras_looking_at
 from radiant_core.splats import Splats
 from radiant_core.survey.map_grid import map_frame_of
@@ -44,6 +53,11 @@ from tests.app.test_evaluate import ground, site
 from tests.core.io.test_model_reader import every_kind, rows_of, write_rows
 
 __all__ = ["site"]
+KINDS = (
+    *("a.ply", "b.spz", "c.spz", "d.sog", "e/meta.json", "f/lod-meta.json", "g.safetensors", "h.splat"),
+    *("i.spz", "j.spz", "k.compressed.ply", "l.ply", "m.ply", "n.ply"),
+)
+"""As `every_kind` writes them."""
 
 
 def heard() -> tuple[ProgressDisplay, io.StringIO]:
@@ -62,26 +76,76 @@ def test_our_own_spz_scores_as_the_model_that_it_was_written_from(site: Path, tm
     assert min(score["psnr_db"] for score in scores) > 38 and {score["num_gaussians"] for score in scores} == {300}
 
 
-def test_every_kind_is_exported_rendered_cleaned_scored_and_shown(site: Path, tmp_path: Path) -> None:
-    for number, path in enumerate(every_kind(tmp_path)):
-        display, said = heard()
-        assert export(ExportRequest(model=path, out=tmp_path / f"{number}.ply"), display)["gaussians"] == 5
-        request = RenderRequest(model=path, out=tmp_path / f"{number}", trajectory="orbit", num_frames=1, size_wh=(32, 24))
-        assert render(request, display)["pictures"] == 1
-        assert clean(CleanRequest(model=path, max_size=1e6), display)["gaussians"] == 5
-        assert evaluate(EvaluateRequest(model=path, scene=site / "sfm"), display)["num_gaussians"] == 5
-        assert load_subject(path).summary.startswith("5 Gaussians") and plan_file_of(path) is None
-        assert ("taken as they stand" in said.getvalue()) == (path.suffix == ".spz")
-        save_picture(path, None, tmp_path / f"{number}_shown.png", Picture(size_wh=(640, 420)))
-        # Five Gaussians on white, below the title of the page.
-        assert (load_image(tmp_path / f"{number}_shown.png")[60:].min(axis=2) < 230).sum() > 20
-        with pytest.raises(BadInput, match="a model alone, of which there are no seams: use --view splats"):
-            save_picture(path, "seams", tmp_path / "x.png")
-        one = {**vars(request), "out": tmp_path / f"{number}_one.png", "trajectory": None, "num_frames": 120}
-        assert render(RenderRequest(**one), display) == {"picture": str(tmp_path / f"{number}_one.png")}
-        assert load_image(tmp_path / f"{number}_one.png").shape == (24, 32, 3)
-        with pytest.raises(BadInput, match=r"is a file, and the folder of a run is needed here: a model alone is opened by"):
-            load_run_view(path)
+def viewed(path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """What the page of `radiant inspect --page` says of a model."""
+    shown: list[str] = []
+
+    def read_page(address: str) -> None:
+        if address.startswith("open "):
+            with urlopen(f"{address.removeprefix('open ').rstrip('/')}/scene.json") as answer:
+                shown.append(json.loads(answer.read())["about"])
+
+    monkeypatch.setattr(view_command, "_wait", lambda: None)
+    view_command.view(path, 0, heard()[0], read_page)
+    return shown[0]
+
+
+def extended_by_command(path: Path, new: Path, monkeypatch: pytest.MonkeyPatch) -> int:
+    """How many Gaussians the standing scene of `radiant join` has; what follows is tested elsewhere (test_pipeline_commands)."""
+    read: list[int] = []
+
+    def stop(request: extend_command.ExtendRequest) -> None:
+        raise BadInput(f"{request.old.name} was read.")
+
+    def given(*arguments: Any, **options: Any) -> Any:
+        model = given_model(*arguments, **options)
+        read.append(len(model.splats))
+        return model
+
+    monkeypatch.setattr(extend_command, "given_model", given)
+    monkeypatch.setattr(extend_command, "_common_frame", stop)
+    with pytest.raises(BadInput, match=f"^{re.escape(path.name)} was read"):
+        extend_command.extend(extend_command.ExtendRequest(old=path, new=new, out=new / "extended.ply"), heard()[0])
+    return read[0]
+
+
+def new_run(folder: Path) -> Path:
+    """As much of a finished run as `radiant join` looks at before it reads the old scene."""
+    shutil.copytree(Path(__file__).parents[2] / "sample_scenes" / "runs" / "tiny", folder)
+    (folder / "manifest.json").unlink()
+    rest = {"train": TrainConfig(), "aggregate": AggregateConfig(), "backend": "native"}
+    task = CloudTask(edges=("east",), num_dealt=(2,), sites=((0.0, 0.0),), weights=(0.0,), **rest)
+    (folder / "cloud").mkdir()
+    write_json(folder / "cloud" / TASK_NAME, message_record(task))
+    return folder
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_every_kind_is_exported_rendered_cleaned_scored_shown_viewed_and_extended(
+    name: str, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, path, number = new_run(tmp_path / "run"), tmp_path / name, 0
+    assert path in every_kind(tmp_path)
+    display, said = heard()
+    assert export(ExportRequest(model=path, out=tmp_path / f"{number}.ply"), display)["gaussians"] == 5
+    request = RenderRequest(model=path, out=tmp_path / f"{number}", trajectory="orbit", num_frames=1, size_wh=(32, 24))
+    assert render(request, display)["pictures"] == 1
+    assert clean(CleanRequest(model=path, max_size=1e6), display)["gaussians"] == 5
+    assert evaluate(EvaluateRequest(model=path, scene=site / "sfm"), display)["num_gaussians"] == 5
+    assert load_subject(path).summary.startswith("5 Gaussians") and plan_file_of(path) is None
+    assert "5 Gaussians" in viewed(path, monkeypatch)
+    assert extended_by_command(path, run, monkeypatch) == 5
+    assert ("taken as they stand" in said.getvalue()) == (path.suffix == ".spz")
+    save_picture(path, None, tmp_path / f"{number}_shown.png", Picture(size_wh=(640, 420)))
+    # Five Gaussians on white, below the title of the page.
+    assert (load_image(tmp_path / f"{number}_shown.png")[60:].min(axis=2) < 230).sum() > 20
+    with pytest.raises(BadInput, match="a model alone, of which there are no seams: use --view splats"):
+        save_picture(path, "seams", tmp_path / "x.png")
+    one = {**vars(request), "out": tmp_path / f"{number}_one.png", "trajectory": None, "num_frames": 120}
+    assert render(RenderRequest(**one), display) == {"picture": str(tmp_path / f"{number}_one.png")}
+    assert load_image(tmp_path / f"{number}_one.png").shape == (24, 32, 3)
+    with pytest.raises(BadInput, match=r"is a file, and the folder of a run is needed here: a model alone is opened by"):
+        load_run_view(path)
 
 
 def poisoned(change: Callable[[np.ndarray], None], count: int = 30) -> np.ndarray:
@@ -149,7 +213,7 @@ def extended(old: Splats, new: Splats) -> None:
         sites=(),
         weights=(),
         train=TrainConfig(),
-        aggregate=AggregateConfig(num_epochs=1, refine_epochs=0),
+        aggregate=AggregateConfig(cloud_epochs=1, refine_epochs=0),
         backend="native",
         extends=Extension(polygon=square, margin_m=0.3),
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands import node as commands
+from radiant_app.commands.network import node as commands
 from radiant_app.network.certificate import make_certificate
 from radiant_app.network.home import make_home
 from radiant_core.errors import BadInput

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from radiant_app.events import Event, StageDone, StageSkipped, Warned
-from radiant_app.executors import network
 from radiant_app.executors.fold import RetryPolicy
-from radiant_app.executors.network import LEASE_S, NetworkExecutor, Stopped
 from radiant_app.executors.protocol import NodeTask
+from radiant_app.network import executor as network
+from radiant_app.network.executor import LEASE_S, NetworkExecutor, Stopped
 from radiant_core.aggregate.tree import Tree
 from radiant_core.io.run_store import seal
 from tests.app.test_network_reception import RUN, World

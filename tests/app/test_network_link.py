@@ -19,7 +19,7 @@ from radiant_app.network.errands import Errands, Outcome
 from radiant_app.network.home import open_home
 from radiant_app.network.hub import Hub, open_hub
 from radiant_app.network.line import Line
-from radiant_core.io.messages import MODEL_NAME
+from radiant_core.hierarchy.codec import MODEL_NAME
 from radiant_core.io.run_store import SEAL_NAME
 from radiant_core.io.transport.envelope import Envelope
 from tests.app.network_nodes import free_port

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands import node as commands
+from radiant_app.commands.network import node as commands
 from radiant_app.network.overview import read_rows
 from tests.app.test_network_reception import World, poll_body
 

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands import node as commands
-from radiant_app.commands import node_packs
+from radiant_app.commands.network import node as commands
+from radiant_app.commands.network import packs as node_packs
 from radiant_app.network import carrying, packs
 from radiant_app.network.arrivals import INCOMING, SPARE_BYTES, Arrivals
 from radiant_app.network.carrying import CarriedWay
@@ -27,7 +27,7 @@ from radiant_app.network.home import make_home, open_home
 from radiant_app.network.hub import Hub
 from radiant_app.network.store import HubStore
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
-from radiant_core.io.messages import MODEL_NAME
+from radiant_core.hierarchy.codec import MODEL_NAME
 from radiant_core.io.transport.envelope import Envelope
 from tests.app.network_transfer import RUN, TASK, make_edge, write_model
 from tests.memory_folder import memory_folder
@@ -144,7 +144,7 @@ def test_the_commands_do_it_and_say_what_comes_next(road: Road, monkeypatch: pyt
     assert "task of devices/d" in say("pack", "d", "--out", disk, "--home", north)
     assert "--offline" in say("unpack", disk, "--home", device)
     (road.folder / "photos").mkdir()
-    monkeypatch.setattr("radiant_app.network.device.DevicePerformer", lambda **given: Performer(road.folder))
+    monkeypatch.setattr("radiant_app.nodes.device.DevicePerformer", lambda **given: Performer(road.folder))
     assert "radiant node pack" in say("work", "--photos", str(road.folder / "photos"), "--offline", "--yes", "--home", device)
     assert "result of devices/d" in say("pack", "--out", disk, "--home", device)
     assert "received" in say("unpack", disk, "--home", north)

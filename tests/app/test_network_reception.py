@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from radiant_app.commands import node as commands
-from radiant_app.executors.network import admit_event
+from radiant_app.commands.network import node as commands
 from radiant_app.network.arrivals import SPARE_BYTES, Arrivals
+from radiant_app.network.executor import admit_event
 from radiant_app.network.home import make_home
 from radiant_app.network.hub import MAX_SAID, Hub
 from radiant_app.network.reception import BODY, COUNTER, NODE, REPLY, SEAL, Asked, Reception, Reply, Said

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands import node_packs
+from radiant_app.commands.network import packs as node_packs
 from radiant_app.network.contents import MAX_REASON_CHARS, check_frame
 from radiant_app.network.home import Listening, open_home
 from radiant_app.network.packs import LIST_NAME, SIGNATURE_NAME
@@ -22,7 +22,7 @@ from radiant_app.network.store import HubStore
 from radiant_core import __version__
 from radiant_core.aggregate.averaging import Refinement
 from radiant_core.errors import BadInput
-from radiant_core.io.messages import FRAME_NAME, MODEL_NAME, load_refinement, load_uncertainty, save_refinement
+from radiant_core.hierarchy.codec import FRAME_NAME, MODEL_NAME, load_refinement, load_uncertainty, save_refinement
 from radiant_core.io.transport.delivery import SentFile, describe_files
 from radiant_core.io.transport.envelope import open_envelope, sign_envelope
 from tests.app.test_network_packs import Road

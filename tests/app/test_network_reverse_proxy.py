@@ -23,13 +23,13 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from radiant_app.commands import node as commands
+from radiant_app.commands.network import node as commands
 from radiant_app.network import line as lines
 from radiant_app.network.home import Listening, make_home, open_home
 from radiant_app.network.hub import open_hub
 from radiant_app.network.line import Line
 from radiant_core.errors import BadInput
-from radiant_core.io.messages import MODEL_NAME
+from radiant_core.hierarchy.codec import MODEL_NAME
 from tests.app.network_nodes import free_port, listening
 from tests.app.network_transfer import deliver, offer, write_model
 

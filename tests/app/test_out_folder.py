@@ -40,7 +40,7 @@ def test_a_plan_and_its_revision_go_into_new_folders(flight: Path, tmp_path: Pat
     plan, new = tmp_path / "a" / "b" / "plan.json", tmp_path / "c" / "new.json"
     assert call("plan", flight, "--out", plan) == (0, "")
     assert json.loads(plan.read_text())["schema"] == "radiant.plan" and (plan.parent / "plan_waypoints").is_dir()
-    assert call("replan", plan, "--system", plan.parent / "plan_system.toml", "--out", new) == (0, "")
+    assert call("plan", "--after", plan, "--system", plan.parent / "plan_system.toml", "--out", new) == (0, "")
     assert new.is_file()
 
 
@@ -67,18 +67,18 @@ def test_an_invitation_goes_into_a_new_folder(tmp_path: Path) -> None:
 
 COMMANDS = [
     ("plan", "{flight}", "--out", "{out}/plan.json"),
-    ("replan", "{plan}", "--out", "{out}/new.json"),
+    ("plan", "--after", "{plan}", "--out", "{out}/new.json"),
     ("render", "{model}", "--trajectory", "orbit", "--out", "{out}/film.gif"),
     ("render", "{model}", "--trajectory", "orbit", "--out", "{out}/pictures"),
     ("export", "{model}", "{out}/m.spz"),
     ("evaluate", "{model}", "--photos", "{photos}", "--out", "{out}/figures.json"),
-    ("aggregate", "{run}", "--out", "{out}/scene.ply"),
-    ("extend", "{model}", "{run}", "--out", "{out}/scene.ply"),
+    ("join", "{run}", "--out", "{out}/scene.ply"),
+    ("join", "{model}", "{run}", "--out", "{out}/scene.ply"),
     ("train", "{run}", "--out", "{out}/model.ply"),
     ("train", "{photos}", "--out", "{out}/training"),
     ("sfm", "{photos}", "--out", "{out}/sfm"),
     ("run", "{photos}", "--out", "{out}/run"),
-    ("profile", "--from", "{run}", "--out", "{out}/mine.toml"),
+    ("machine", "profile", "--from", "{run}", "--out", "{out}/mine.toml"),
 ]
 
 
@@ -96,7 +96,7 @@ def test_a_file_in_place_of_the_folder_is_named(command: tuple[str, ...], tmp_pa
     code, said = call(*(part.format(**places, out=flight / "deeper") for part in command))
     assert code != 0 and sorted(tmp_path.rglob("*")) == before
     # Some look at what they read first; the place is then told the next time.
-    assert "expected a folder to write" in said or command[0] in ("evaluate", "replan", "aggregate", "extend", "train", "sfm", "run"), said
+    assert "expected a folder to write" in said or command[0] in ("evaluate", "join", "train", "sfm", "run"), said
 
 
 @pytest.mark.parametrize("command", [row for row in COMMANDS if row[0] not in ("plan", "export", "render")], ids=lambda command: command[0])

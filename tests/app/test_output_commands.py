@@ -17,7 +17,7 @@ import tifffile
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands import export_levels
+from radiant_app.commands.export import levels as export_levels
 from radiant_core.errors import BadInput
 from radiant_core.geometry import fusion
 from radiant_core.geometry.fusion import _save_view

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.fields import config_of as run_config
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided, Event, Warned
@@ -129,7 +129,7 @@ def test_beyond_a_limit_the_cloud_cuts_at_the_borders_and_says_the_figure(
         choice.reason in warning
         and "dB lower" in warning
         and "raise that limit under [cloud]" in warning
-        and "`radiant aggregate RUN" in warning
+        and "`radiant join RUN" in warning
     )
     summary = read_json(cloud / "summary.json")
     models = [load_splats(cloud / "inbox" / edge / "model.safetensors") for edge in task["edges"]]

@@ -15,8 +15,8 @@ from radiant_app.workers.tasks import PositionsTask
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.listing import list_photographs
 from radiant_core.io.run_store import read_json
-from radiant_core.io.waypoints.reader import exif_waypoints
 from radiant_core.plan.system import System
+from radiant_core.waypoints.reader import exif_waypoints
 
 ROOT = Path(__file__).parents[2]
 HAMLET = sorted((ROOT / "sample_scenes" / "hamlet" / "images").iterdir())

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.bench.cells import ModelCache, run_cell
-from radiant_app.bench.methods import MethodBench, bench_methods
+from benchmarks.methods.bench import MethodBench, bench_methods
+from benchmarks.methods.cells import ModelCache, run_cell
 from radiant_app.config.run_config import EvaluateOptions, RunConfig
 from radiant_app.events import Decided, Event, StageSkipped, Warned
 from radiant_app.files.event_file import read_progress
@@ -234,7 +234,7 @@ def test_a_full_disk_gets_one_sentence_and_keeps_what_was_computed(hamlet: Path,
     try:
         finished = radiant("run", hamlet, "--out", disk / "run", *TINY_OPTIONS)
         assert finished.returncode == 2 and "free space" in finished.stderr and "Traceback" not in finished.stderr, finished.stderr
-        assert "go on with the same command and --resume" in finished.stderr
+        assert "repeat the command with --resume" in finished.stderr
         # There was no room to write more of the end than this.
         assert read_progress(disk / "run").status in ("failed", "interrupted")
         assert (disk / "run" / "sfm" / "database.db").stat().st_size > 0

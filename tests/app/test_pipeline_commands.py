@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.export import export
-from radiant_app.commands.export_request import ExportRequest
-from radiant_app.commands.extend import ExtendRequest, extend
+from radiant_app.commands.export.export import export
+from radiant_app.commands.export.request import ExportRequest
+from radiant_app.commands.model.extend import ExtendRequest, extend
 from radiant_app.config.run_config import RunConfig
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.pipeline import run
@@ -26,8 +26,8 @@ from radiant_core.geometry.similarity import move_splats
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
-from radiant_core.io.waypoints.region import load_region
 from radiant_core.sfm.world_frame.world import cameras_of
+from radiant_core.waypoints.region import load_region
 from tests.app.pipeline_kit import TINY, Finished, radiant
 
 
@@ -44,7 +44,7 @@ def test_commands_on_a_finished_run(finished: Finished, tmp_path: Path) -> None:
     assert (rows[0] == rows[1]) is True and (b"comment origin" in headers[0]) == (load_scene_of(config.out).frame.kind == "metric")
     rendered = radiant("render", config.out, "--out", tmp_path / "pictures")
     assert rendered.returncode == 0 and len(list((tmp_path / "pictures").glob("*.png"))) == len(result.metrics["images"])
-    joined = radiant("aggregate", config.out, "--out", tmp_path / "joined.ply", "--epochs", 1, "--aggregate-preset", "paper")
+    joined = radiant("join", config.out, "--out", tmp_path / "joined.ply", "--epochs", 1, "--aggregate-preset", "paper")
     assert joined.returncode == 0 and len(load_ply(tmp_path / "joined.ply")) > 0, joined.stderr
     planned = radiant("plan", config.out, "--out", tmp_path / "plan.json", "--plan-method", "even", "--json")
     assert planned.returncode == 0 and (tmp_path / "plan.png").exists(), planned.stderr
@@ -143,7 +143,7 @@ def test_commands_refuse_what_is_damaged_or_taken(finished: Finished, tmp_path: 
     (copy / "sfm" / "result.json").write_text("[]")
     (tmp_path / "plan.json").write_text("mine")
     cases = [
-        (("aggregate", copy, "--out", tmp_path / "a.ply"), "task.json is no JSON object"),
+        (("join", copy, "--out", tmp_path / "a.ply"), "task.json is no JSON object"),
         (("train", copy, "--out", tmp_path / "t.ply", "--steps", 1), "result.json is no JSON object"),
         (("train", config.out, "--out", tmp_path / "t.ply", "--seed", -1), "seed"),
         (("plan", config.out, "--out", tmp_path / "plan.png"), "ends in .json"),
@@ -158,12 +158,12 @@ def test_commands_refuse_what_is_damaged_or_taken(finished: Finished, tmp_path: 
         assert result.returncode == 2, (arguments, result.stderr)
         assert told in result.stderr and "Traceback" not in result.stderr, (arguments, result.stderr)
     (edge / "task.json").unlink()
-    assert radiant("aggregate", copy, "--out", tmp_path / "a.ply").returncode == 2
+    assert radiant("join", copy, "--out", tmp_path / "a.ply").returncode == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["copy", "plan.json"]
 
 
 def test_doctor_finds_what_a_run_needs() -> None:
-    finished = radiant("doctor", "--json")
+    finished = radiant("machine", "check", "--json")
     findings = json.loads(finished.stdout)
     assert finished.returncode == 0
     assert all(finding["ok"] for finding in findings if finding["needed"]), findings

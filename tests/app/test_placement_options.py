@@ -9,12 +9,12 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands.train import TrainRequest, train
+from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.workers.sources import reconstruct_source, sfm_task
 from radiant_app.workers.tasks import SfmTask
 from radiant_core.errors import BadInput
-from radiant_core.io.messages import message_of, message_record
+from radiant_core.hierarchy.codec import message_of, message_record
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.world_frame.placement import Placement
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.node import Running
+from radiant_app.commands.network.node import Running
 from radiant_app.events import Decided, StageProgress, StageStarted, Warned
 from radiant_app.network.home import accept_invitation, invitation_text, make_home, new_invitation
 from radiant_app.network.line import Answer

@@ -14,21 +14,21 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.plan import PlanRequest, plan
-from radiant_app.commands.plan_content import ContentRequest
-from radiant_app.commands.plan_flight import DroneText, HeightOptions, flight_request
-from radiant_app.commands.plan_tables import method_table
-from radiant_app.commands.steps import training_part
+from radiant_app.commands.plan.content import ContentRequest
+from radiant_app.commands.plan.flight import DroneText, HeightOptions, flight_request
+from radiant_app.commands.plan.plan import PlanRequest, plan
+from radiant_app.commands.plan.tables import method_table
+from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.steps import training_part
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.records import load_plan, load_plan_waypoints, load_scene
-from radiant_core.io.waypoints.reader import exif_waypoints, read_waypoints
 from radiant_core.plan.baselines import compare
 from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.waypoints.reader import exif_waypoints, read_waypoints
 from tests.core.sfm.test_gps_of_photographs import hamlet_with, without_altitude
 from tests.forked import run_module
 
@@ -196,7 +196,7 @@ def test_a_disk_that_fails_in_the_middle_leaves_nothing(tmp_path: Path, monkeypa
     def refuse(*_: object, **__: object) -> None:
         raise BadInput("cannot write: no space left.")
 
-    monkeypatch.setattr("radiant_app.commands.plan.save_plan", refuse)  # the last of the files
+    monkeypatch.setattr("radiant_app.commands.plan.plan.save_plan", refuse)  # the last of the files
     with pytest.raises(BadInput, match="no space"):
         make_plan(source, tmp_path / "plan.json")
     assert list(tmp_path.iterdir()) == [source]

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.plan import PlanRequest, plan
-from radiant_app.commands.plan_content import ContentRequest, buffer_rule, content_request
-from radiant_app.commands.plan_tables import plan_tables
+from radiant_app.commands.plan.content import ContentRequest, buffer_rule, content_request
+from radiant_app.commands.plan.plan import PlanRequest, plan
+from radiant_app.commands.plan.tables import plan_tables
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.records import load_plan_waypoints
-from radiant_core.io.waypoints.reader import read_waypoints
+from radiant_core.waypoints.reader import read_waypoints
 
 
 def flight(folder: Path, alt_m: float = 60.0, more: str = "", cells: str = "") -> Path:

@@ -239,7 +239,7 @@ def test_what_joins_a_plan_is_taken_for_the_training_of_the_plan(tmp_path: Path)
     assert written.training == ProfileKey(preset="default", num_steps=30_000, long_side_px=1237, max_num_splats=200_000)
     (tmp_path / "join.toml").write_text(f'[[edge]]\nid = "e"\n[[edge.device]]\nid = "late"\n{profile("laptop-cpu")}\n')
     out = tmp_path / "new.json"
-    arguments = ["replan", tmp_path / "plan" / "plan.json", "--system", tmp_path / "plan" / "plan_system.toml"]
+    arguments = ["plan", "--after", tmp_path / "plan" / "plan.json", "--system", tmp_path / "plan" / "plan_system.toml"]
     result = CliRunner().invoke(app, [*map(str, arguments), "--join", str(tmp_path / "join.toml"), "--out", str(out)])
     assert result.exception is None, result.exception
     (plan,) = load_plan(out)[1]

@@ -12,11 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands.replan import ReplanRequest, replan_files
+from radiant_app.commands.plan.replan import ReplanRequest, replan_files
 from radiant_app.files.constraints_file import load_constraints
 from radiant_app.files.profile_file import save_profile
 from radiant_app.files.system_file import dump_system, load_system
-from radiant_app.run.prediction_error import curves_note
+from radiant_app.report.prediction_error import curves_note
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json

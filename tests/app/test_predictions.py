@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from radiant_app.config.run_config import PlanOptions, RunConfig, SfmOptions
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import dump_system
+from radiant_app.report.prediction_error import prediction_of
 from radiant_app.run.captured import Captured
 from radiant_app.run.on_devices import DevicePhotographs
-from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.predictions import (
     BESIDE_EPOCHS,
     BESIDE_EPOCHS_AT_CLOUD,

@@ -1,4 +1,4 @@
-"""`radiant profile`: a real short run on generated photographs, the stage times of a finished run, and what it cannot use."""
+"""`radiant machine profile`: a real short run on generated photographs, the stage times of a finished run, and what it cannot use."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.cli.profile import profile as profile_cli
-from radiant_app.commands.plan import PlanRequest, plan
-from radiant_app.commands.profile import ProfileRequest, check_table, profile, profile_of_run
-from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, Task, choose_counts, shorten_training
-from radiant_app.commands.steps import training_part
+from radiant_app.cli.machine import profile as profile_cli
+from radiant_app.commands.machine.profile import ProfileRequest, check_table, profile, profile_of_run
+from radiant_app.commands.machine.profiling import MIN_PHOTOGRAPHS, Measuring, Task, choose_counts, shorten_training
+from radiant_app.commands.plan.plan import PlanRequest, plan
+from radiant_app.commands.run.steps import training_part
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event, Listener, StageDone, StageProgress, StageStarted, Warned
 from radiant_app.executors import fork_server, local
@@ -34,8 +34,8 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame, Sim3
+from radiant_core.hierarchy.codec import load_uncertainty, save_task
 from radiant_core.hierarchy.messages import DeviceTask
-from radiant_core.io.messages import load_uncertainty, save_task
 from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.devices.device_split import split_edges
@@ -161,7 +161,7 @@ def test_photographs_alone_are_reconstructed_by_a_task_that_its_worker_accepts(
         tasks.append(receive_task(node.kind, node.folder))
         raise StageFailed("received")
 
-    monkeypatch.setattr("radiant_app.commands.profile.run_task", receive)
+    monkeypatch.setattr("radiant_app.commands.machine.profile.run_task", receive)
     with pytest.raises(StageFailed, match="received"):
         profile(ProfileRequest(out=tmp_path / "mine.toml", source=scene / "images"), lambda event: None)
     assert [task.source for task in tasks] == [str((scene / "images").resolve())]
@@ -173,7 +173,7 @@ def test_edges_are_timed_at_what_a_run_has_them_do(scene: Path, tmp_path: Path, 
     measured = measuring_in(tmp_path, scene).measure(1.0)
     summaries = {path.parent.name: read_json(path) for path in (tmp_path / "edges").glob("*/summary.json")}
     joined = [name for name in summaries if name.split("-")[1] == "2"]
-    assert len(joined) >= 2 and 1 <= measured.num_epochs <= AggregateConfig().epochs_at_edges
+    assert len(joined) >= 2 and 1 <= measured.num_epochs <= AggregateConfig().at_edge.num_epochs
     for name in joined:
         assert summaries[name]["num_steps"] == measured.num_epochs * int(name.split("-")[0])
     assert all(summary["num_steps"] == 0 for name, summary in summaries.items() if name not in joined)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.profile import library_table
+from radiant_app.commands.machine.profile import library_table
 from radiant_app.files.profile_file import library_profiles, load_profile, save_profile
 from radiant_app.files.system_file import load_system
 from radiant_core.errors import BadInput

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.events import (
     Decided,
     Event,
@@ -32,7 +32,7 @@ from radiant_app.events import (
     encode,
 )
 from radiant_app.files.event_file import EventFile, read_progress
-from radiant_app.report.pace import Pace, clock_text
+from radiant_app.pace import Pace, clock_text
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.report.tables import print_figures
 from radiant_app.report.verdict import verdict_of
@@ -268,7 +268,7 @@ def test_a_run_says_how_many_of_its_stages_are_finished(tmp_path: Path) -> None:
 
 def test_libraries_write_to_a_file_and_python_is_heard(tmp_path: Path) -> None:
     script = (
-        "import os, sys; from pathlib import Path; from radiant_app.commands.steps import libraries_log_to\n"
+        "import os, sys; from pathlib import Path; from radiant_app.commands.run.steps import libraries_log_to\n"
         "with libraries_log_to(Path(sys.argv[1])):\n"
         "    os.write(2, b'I2026 undistorters.cc:208]\\n'); print('a bar', file=sys.stderr)\n"
         "os.write(2, b'afterwards\\n'); print('at the end', file=sys.stderr)"
@@ -319,13 +319,17 @@ def test_words_for_quality_follow_the_worse_of_both_figures() -> None:
     [
         ({}, "very good", ""),
         ({"num_unplaced": 1, "num_photographs": 60}, "very good", ""),
-        ({"num_unplaced": 12, "num_photographs": 48}, "fair", "12 of 60 photographs have no place in it"),
+        ({"num_unplaced": 12, "num_photographs": 48}, "fair", "12 of 60 photographs could not be placed"),
         ({"num_unplaced": 40, "num_photographs": 20}, "poor", "40 of 60"),
-        ({"missing": {"devices/north-1": "lost"}}, "fair", "no model came from devices/north-1"),
-        ({"seam_found": True}, "fair", "a seam is found"),
+        ({"missing": {"devices/north-1": "lost"}}, "fair", "no model arrived from devices/north-1"),
+        ({"seam_found": True}, "fair", "a seam was found"),
         ({"doubts": ["up may be wrong."]}, "fair", "in doubt (1 warning)"),
         ({"num_unscored": 3}, "good", "3 of 11 held-out photographs are not scored"),
-        ({"ground_control": {"check": {"rms_axis_m": 0.5, "expected_axis_m": 0.05}}}, "fair", "10 times as far off as expected"),
+        (
+            {"ground_control": {"check": {"rms_axis_m": 0.5, "expected_axis_m": 0.05}}},
+            "fair",
+            "check points are off by 10 times the expected error",
+        ),
         ({"images": [{"mean_color_psnr_db": 31.0}] * 8}, "poor", "no better than one flat colour"),
         ({"images": [{}]}, "good", "too few to be sure"),
     ],

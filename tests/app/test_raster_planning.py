@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.plan import PlanRequest, plan
+from radiant_app.commands.plan.plan import PlanRequest, plan
 from radiant_app.config.run_config import PlanOptions, RunConfig
 from radiant_app.files.system_file import even_system
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.reporting import EventReporter
 from radiant_app.run.cloud_planning import place_edges_by_raster
 from radiant_app.workers.field_nodes import raster_record
 from radiant_app.workers.regions import plan_from_raster, plan_regions_of_task, regions_task, run_regions
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import RegionsTask
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
-from radiant_core.io.messages import load_task, message_record, save_task
+from radiant_core.hierarchy.codec import load_task, message_record, save_task
 from radiant_core.io.records import load_plan
 from radiant_core.plan.counts.count_raster import DEFAULT_CELL_M, count_raster
 

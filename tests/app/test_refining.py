@@ -14,6 +14,7 @@ from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.run_folder import Manifest
+from radiant_app.reporting import EventReporter
 from radiant_app.run import refining_deadlines
 from radiant_app.run.refining import LATE, UNUSED, Refining, fold_rounds, left_out, left_out_decision, partly_left_out, plan_rounds
 from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
@@ -29,12 +30,11 @@ from radiant_app.workers.refining import (
     is_counted,
     run_finish,
 )
-from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import FinishTask
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
+from radiant_core.hierarchy.codec import CAMERAS_NAME, REFINED_NAME, ROWS_NAME
 from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining, refining_steps
 from radiant_core.io.array_file import save_arrays
-from radiant_core.io.messages import CAMERAS_NAME, REFINED_NAME, ROWS_NAME
 from radiant_core.io.ply import save_ply
 from radiant_core.io.run_store import file_sha256, read_json, seal, write_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME

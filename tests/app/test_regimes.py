@@ -25,6 +25,7 @@ from radiant_core.regimes import REGIMES, look_up
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.densify.policies import Adc
 from radiant_core.train.extent import extent_decision
+from radiant_core.train.fill_in import fill_in_points
 from radiant_core.train.gates import choose_helpers, open_gates
 from radiant_core.train.needs import Overrides, fit_to_cameras
 from radiant_core.train.shapes import ShapeCounts
@@ -103,7 +104,9 @@ def decisions_of_a_training() -> Iterator[Decision]:
     scene, views = ball_before_a_wall()
     grey = replace(views, images=tuple(np.full((60, 80, 3), 30 * view, np.uint8) for view in range(len(views))))
     for own in (views, grey):
-        yield from choose_helpers(*open_gates(config, scene, own), own, lambda trial: np.zeros(trial.held.sum())).decisions
+        yield from choose_helpers(
+            *open_gates(config, fill_in_points(scene, own), own), own, lambda trial: np.zeros(trial.held.sum())
+        ).decisions
     yield from images_worth(*scene_of(4)).decisions
     yield extent_decision(cameras_above([(0.0, 0.0), (100.0, 0.0)]), ground_splats(), 2.0)
     yield shapes_decision("train", TrainConfig(), ShapeCounts(num_needles=1))

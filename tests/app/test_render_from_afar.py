@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from radiant_app.commands.render import RenderRequest, render
+from radiant_app.commands.model.render import RenderRequest, render
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import concatenate_splats

@@ -1,4 +1,4 @@
-"""`radiant replan` on plan files: what it writes, that captured waypoints stay, and one sentence for what cannot be done."""
+"""`radiant plan --after` on plan files: what it writes, that captured waypoints stay, and one sentence for what cannot be done."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.plan import PlanRequest, plan
-from radiant_app.commands.replan import ReplanRequest, parse_values, replan_files, replan_table
+from radiant_app.commands.plan.plan import PlanRequest, plan
+from radiant_app.commands.plan.replan import ReplanRequest, parse_values, replan_files, replan_table
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.records import load_plan, load_plan_waypoints
-from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.plan.revision.captured import require_same_system
 from radiant_core.plan.revision.replan import FleetChange
+from radiant_core.waypoints.reader import read_waypoints
 
 SYSTEM = """
 [[edge]]

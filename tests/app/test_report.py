@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import RunConfig, TrainOptions
-from radiant_app.events import Event, StageDone, StageProgress, StageStarted
-from radiant_app.report.gaps import gaps_of
+from radiant_app.events import Event, RunLeft, StageDone, StageProgress, StageStarted
+from radiant_app.report.gaps import gaps_of, notes_of
 from radiant_app.report.hero import NUM_SIDES
 from radiant_app.report.html import PARTS, REPORT, title_of, with_code
 from radiant_app.report.survey import area_text, length_text, observed_area, sampling_distance, survey_of
@@ -75,7 +75,8 @@ def test_the_page_begins_with_the_model_and_ends_with_what_is_folded_away(finish
 
 def test_a_run_tells_how_far_its_report_is(finished: RunResult, heard: list[Event]) -> None:
     told = [event for event in heard if getattr(event, "stage", None) == REPORT]
-    assert isinstance(told[0], StageStarted) and isinstance(told[-1], StageDone) and told[-1] is heard[-1]
+    assert isinstance(told[0], StageStarted) and isinstance(told[-1], StageDone) and told[-1] is heard[-2]
+    assert isinstance(heard[-1], RunLeft) and heard[-1].left_s == 0.0, "then nothing is left of the run"
     steps = [event for event in told if isinstance(event, StageProgress)]
     assert [*dict.fromkeys(event.phase for event in steps)] == [*PARTS]
     assert [event.done for event in steps if event.phase == PARTS[1]] == [*range(NUM_SIDES + 1)]
@@ -92,6 +93,24 @@ def test_the_page_is_no_wider_than_a_phone_and_the_model_turns(page: Any) -> Non
     page.mouse.move(box["x"] + 200, box["y"] + 40, steps=4)
     page.mouse.up()
     assert page.locator("#model").get_attribute("src") != first and page.locator("#side").input_value() != "0"
+
+
+def test_plan_and_timeline_are_read_on_a_phone_without_scrolling(page: Any) -> None:
+    lines = page.locator(".phone-chart .line")
+    assert lines.count() >= 9, "a line per process"
+    shown = "list => list.filter(one => one.checkVisibility()).map(one => one.getBoundingClientRect().toJSON())"
+    for what in (".phone-chart .line", ".phone-chart .track i", ".phone-chart img", "figure img"):
+        boxes = page.locator(what).evaluate_all(shown)
+        assert boxes and all(box["left"] >= 0 and box["right"] <= PHONE_PX for box in boxes), what
+    scrolled = "list => list.filter(one => one.checkVisibility() && one.scrollWidth > one.clientWidth + 1).length"
+    assert page.locator("figure, .chart").evaluate_all(scrolled) == 0
+    assert float(page.locator(".line").first.evaluate("line => parseFloat(getComputedStyle(line.firstElementChild).fontSize)")) >= 12
+    # A map that is drawn for the phone is not shrunk: its letters are as large as they were set.
+    plan = page.locator(".phone-chart img").first
+    assert plan.bounding_box()["width"] > 0.85 * plan.evaluate("image => image.naturalWidth")
+    assert not page.locator(".wide-chart").first.is_visible()
+    page.set_viewport_size({"width": 1440, "height": 900})
+    assert page.locator(".wide-chart").first.is_visible() and not lines.first.is_visible()
 
 
 def test_printed_the_model_is_on_the_first_of_few_pages_in_black_on_white(page: Any) -> None:
@@ -137,11 +156,16 @@ def test_lengths_and_areas_are_read_at_a_glance() -> None:
 def test_everything_that_is_missing_is_said_once() -> None:
     borders = [{"between": ["a", "b"], "seam_found": True}, {"between": ["b", "c"], "seam_found": False}]
     metrics = {"missing": {"east-1": "it stopped"}, "not_refined": {}, "borders": borders, "seam_found": True, "seam_excess_db": 1.25}
-    found = gaps_of(metrics, ["sfm: 3 have no pose"], UNSCALED)
-    assert [text.split(":")[0] for text in found] == [
-        "No model came from east-1", "sfm", "No scale and no place", "A seam is found at a | b",
+    few = {**metrics, "num_unplaced": 3, "images": [{}]}
+    assert [text.split(":")[0] for text in gaps_of(few, UNSCALED)] == [
+        "Not all of the site", "3 photographs could not be placed", "Metres and a place on the map", "A seamless whole",
+        "Sure figures of quality",
     ]  # fmt: skip
-    assert gaps_of({"missing": {}, "borders": borders, "seam_found": False}, [], METRIC) == []
+    assert not [text for text in gaps_of(few, UNSCALED) if "east-1" in text or "device" in text], "machines say nothing to a client"
+    assert notes_of(metrics, ["sfm: 3 have no pose"]) == ["No model came from east-1: it stopped", "sfm: 3 have no pose"]
+    whole = {"missing": {}, "borders": borders, "seam_found": False, "ground_control": {"check": None}, "images": [{}] * 8}
+    assert gaps_of(whole, METRIC) == [] == notes_of(whole, [])
+    assert [text.split(":")[0] for text in gaps_of({**whole, "ground_control": None}, METRIC)] == ["A check on the ground"]
 
 
 def test_words_between_backticks_are_code_and_nothing_is_markup() -> None:

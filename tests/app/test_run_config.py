@@ -35,7 +35,7 @@ sky = false
 max_epochs = "none"
 density.kind = "mcmc"
 [aggregate]
-num_epochs = 2
+cloud_epochs = 2
 [execution]
 checkpoint_every_s = 90
 """
@@ -47,7 +47,7 @@ ASKED: dict[str, Any] = {
     "train": TrainOptions(
         preset="paper", num_steps=300, step_policy="fixed", settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}
     ),
-    "aggregate": AggregateOptions(preset="paper", settings={"num_epochs": 2}),
+    "aggregate": AggregateOptions(preset="paper", settings={"cloud_epochs": 2}),
     "execution": ExecutionOptions(checkpoint_every_s=90.0),
 }
 
@@ -77,7 +77,8 @@ def run_file(folder: Path, text: str = FILE) -> Path:
 def test_a_run_file_options_and_set_start_the_same_run(tmp_path: Path, asked: RunConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     assert started(monkeypatch, run_file(tmp_path)) == asked
     where = (tmp_path / "photos", "--out", tmp_path / "run", "--system", tmp_path / "fleet.toml", "--preset", "paper")
-    only_set = ("--set=train.sky=false", "--set=train.max-epochs=none", "--set=train.density.kind=mcmc", "--set", "aggregate.num_epochs=2")
+    train_set = ("--set=train.sky=false", "--set=train.max-epochs=none", "--set=train.density.kind=mcmc")
+    only_set = (*train_set, "--set", "aggregate.cloud_epochs=2")
     options = ("--seed", 3, "--plan-method", "voronoi", "--steps", 300, "--checkpoint-every", "1.5m")
     assert started(monkeypatch, *where, *options, *only_set) == asked
     paths = ("seed=3", "plan.method=voronoi", "train.num_steps=300", "execution.checkpoint_every_s=90")
@@ -112,7 +113,7 @@ def test_a_configuration_comes_back_from_its_tables(asked: RunConfig) -> None:
         ("sky = false", "sky = 7", "train.sky is 7; expected a valid boolean"),
         ("sky = false", "start_scale = 2", "start_scale is 2.0"),
         ("seed = 3", "num_steps = 3", "num_steps is not a key of a run file: use train.num_steps."),
-        ("[plan]", "[plans]", "plans is not a key of a run file: expected one of source, "),
+        ("[plan]", "[plans]", "plans is not a section of a run file: did you mean [plan]?"),
         ("seed = 3", "evaluate = 3", "evaluate is 3, expected a section, [evaluate]."),
         ('"voronoi"', '"magic"', "plan.method is 'magic'; expected 'exact', 'paper', 'paper-literal', 'even', 'voronoi' or 'kd'"),
         ('system = "fleet.toml"', 'system = ""', "system is ''; string should have at least 1 character"),

@@ -12,7 +12,7 @@ import pytest
 from typer.main import get_command
 
 from radiant_app.cli.app import app
-from radiant_app.commands.train import TrainRequest
+from radiant_app.commands.run.train import TrainRequest
 from radiant_app.config.fields import config_fields
 from radiant_app.config.run_config import RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import StageDone, StageStarted, Warned

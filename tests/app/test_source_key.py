@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Event, Warned
 from radiant_app.run.source_key import source_key, used_files

@@ -15,10 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands import machine_profile
-from radiant_app.commands.doctor_forecast import forecast, training_factor
-from radiant_app.commands.run_control import BegunCommand, resuming_arguments, stop_run
-from radiant_app.commands.start_forecast import (
+from radiant_app.commands.inspect.start_forecast import (
     MachineRow,
     command_of,
     forecast_start,
@@ -26,7 +23,10 @@ from radiant_app.commands.start_forecast import (
     quality_of,
     save_system,
 )
-from radiant_app.commands.start_look import look_at
+from radiant_app.commands.inspect.start_look import look_at
+from radiant_app.commands.machine import this_machine as machine_profile
+from radiant_app.commands.machine.forecast import forecast, training_factor
+from radiant_app.commands.run.control import BegunCommand, resuming_arguments, stop_run
 from radiant_app.events import StageDone, StageProgress, StageStarted, encode
 from radiant_app.files.event_file import EVENTS_NAME, read_progress
 from radiant_app.files.profile_file import load_profile

@@ -1,4 +1,4 @@
-"""`radiant measure` and `radiant change` on made-up runs: what is kept, exported and refused."""
+"""`radiant measure`, also between two dates, on made-up runs: what is kept, exported and refused."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands import export_heights, measure, measure_worker
-from radiant_app.commands.measure_worker import Measuring
-from radiant_app.commands.survey_parts import load_survey
+from radiant_app.commands.export import heights as export_heights
+from radiant_app.commands.survey import measure
+from radiant_app.commands.survey import worker as measure_worker
+from radiant_app.commands.survey.parts import load_survey
+from radiant_app.commands.survey.worker import Measuring
 from radiant_app.report.progress import terminal_display
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Cleaning, PolygonStep
-from radiant_core.io.cleaning_file import save_cleaning
+from radiant_core.geometry.cleaning_file import save_cleaning
 from radiant_core.io.measures_file import load_measures, save_measures
 from radiant_core.io.run_store import atomic_path
 from radiant_core.survey.map_grid import map_frame_of
@@ -65,9 +67,9 @@ def test_measures_are_kept_listed_exported_and_taken_out(tmp_path: Path) -> None
         (("measure", "RUN", "--base", "3"), "--base is of a new measure"),
         (("measure", "RUN", "--resolution", "3"), "--resolution is of a new measure"),
         (("measure", "RUN", "--kind", "distance", "--at", "1,2,nan 3,4,5"), "no list of places"),
-        (("change", "RUN", "RUN", "--out", "OUT"), "given twice"),
-        (("change", "RUN", "NONE", "--out", "OUT"), "no folder of a run"),
-        (("change", "RUN", "OTHER", "--out", "OUT", "--min-area", "-1"), "above zero"),
+        (("measure", "RUN", "--since", "RUN", "--out", "OUT"), "given twice"),
+        (("measure", "NONE", "--since", "RUN", "--out", "OUT"), "no folder of a run"),
+        (("measure", "OTHER", "--since", "RUN", "--out", "OUT", "--min-area", "-1"), "above zero"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_sentence(tmp_path: Path, arguments: tuple[str, ...], sentence: str) -> None:
@@ -167,7 +169,7 @@ def test_a_measure_worker_that_is_told_to_end_leaves_nothing_half_written(tmp_pa
             begun.set()
             time.sleep(60)
 
-    monkeypatch.setattr("radiant_app.commands.measure_worker.serve", write_slowly)
+    monkeypatch.setattr("radiant_app.commands.survey.worker.serve", write_slowly)
     monkeypatch.setattr("sys.argv", ["measure_worker", str(tmp_path)])
     worker = processes.Process(target=lambda: sys.exit(measure_worker.main()))
     worker.start()

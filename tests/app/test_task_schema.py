@@ -39,8 +39,8 @@ from radiant_app.workers.tasks import (
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3
+from radiant_core.hierarchy.codec import load_task, message_record, save_task
 from radiant_core.hierarchy.messages import NO_CAMERAS, CloudTask, DeviceTask, EdgeTask
-from radiant_core.io.messages import load_task, message_record, save_task
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.io.transport.signing import KEY_NAME, PUBLIC_NAME

@@ -83,7 +83,7 @@ def test_edge_and_cloud_pass_the_model_of_a_lone_device_on(alone: tuple[RunConfi
 def test_the_model_is_that_of_radiant_train_but_for_the_format_of_its_upload(
     alone: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
 ) -> None:
-    from radiant_app.commands.train import TrainRequest, train
+    from radiant_app.commands.run.train import TrainRequest, train
     from radiant_core.io.ply import load_ply
 
     config, result, _ = alone

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.evaluate import EvaluateRequest, evaluate
-from radiant_app.commands.steps import sfm
-from radiant_app.commands.train import TrainRequest, train
+from radiant_app.commands.model.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.steps import sfm
+from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
 from radiant_app.files.score_file import SCORES
 from radiant_app.quantities import bytes_of, seconds_of
@@ -28,10 +28,10 @@ from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.hierarchy import device
+from radiant_core.hierarchy.codec import save_task
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.text import write_model
-from radiant_core.io.messages import save_task
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_scene
 from radiant_core.io.run_store import read_json, write_json

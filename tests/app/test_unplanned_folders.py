@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from radiant_app.commands.inspect import run_setting
-from radiant_app.commands.train import TrainRequest
+from radiant_app.commands.inspect.window import run_setting
+from radiant_app.commands.run.train import TrainRequest
 from radiant_app.files.run_folder import Manifest
 from radiant_app.workers.sources import load_scored_scene
 from radiant_core.cameras import Cameras

@@ -63,7 +63,7 @@ def dealt(tmp_path_factory: pytest.TempPathFactory) -> Dealer:
         cloud_plan=cloud_plan,
         edge_plans=split_edges(positions, cloud_plan, system),
         train=replace(train_preset("draft"), num_steps=20, long_side_px=64, max_num_splats=300),
-        aggregate=AggregateConfig(num_epochs=1),
+        aggregate=AggregateConfig(cloud_epochs=1),
         backend="native",
     )
     return Dealer(run=folder / "run", recipe=recipe, photographs=photographs)

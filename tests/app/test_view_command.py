@@ -1,4 +1,4 @@
-"""`radiant view` keeps a page beside the run, makes it anew when the model changes, and leaves no half of one."""
+"""`radiant inspect --page` keeps a page beside the run, makes it anew when the model changes, and leaves no half of one."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands import view as view_command
-from radiant_app.commands.view import view
+from radiant_app.commands.inspect import view as view_command
+from radiant_app.commands.inspect.view import view
 from radiant_app.report.progress import terminal_display
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply, save_ply

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import get_args
 
-from radiant_app.commands.start_forecast import QualityName, quality_of
+from radiant_app.commands.inspect.start_forecast import QualityName, quality_of
 
 
 def main(sfm: Path, out: Path) -> None:

@@ -19,6 +19,7 @@ PACKAGES = {
     "radiant_viewer": ROOT / "viewer/radiant_viewer",
     "radiant_app": ROOT / "radiant_app",
     "radiant": ROOT / "radiant",
+    "benchmarks": ROOT / "benchmarks",
 }
 
 
@@ -70,11 +71,14 @@ def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
     assert first_circle(imports_within(modules_of(package))) == []
 
 
-def test_no_rooms_of_the_viewer_import_each_other_in_a_circle() -> None:
+@pytest.mark.parametrize("within", [*PACKAGES, "radiant_app.commands"])
+def test_no_rooms_import_each_other_in_a_circle(within: str) -> None:
+    depth = within.count(".") + 2
     rooms: dict[str, set[str]] = {}
-    for module, imported in imports_within(modules_of("radiant_viewer")).items():
-        own, *others = (".".join(name.split(".")[:2]) for name in (module, *imported))
-        rooms.setdefault(own, set()).update(other for other in others if other != own)
+    for module, imported in imports_within(modules_of(within.split(".", maxsplit=1)[0])).items():
+        room, *others = (".".join(name.split(".")[:depth]) for name in (module, *imported))
+        if room.startswith(f"{within}."):
+            rooms.setdefault(room, set()).update(other for other in others if other.startswith(f"{within}.") and other != room)
     assert first_circle(rooms) == []
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
+from benchmarks.cli import app as benchmarks
 from radiant_app.cli.app import app
 from radiant_app.config.fields import config_fields
 from tests.architecture.test_pages import EXPERIMENTS, GENERATED, PAGES, page_id
@@ -36,6 +37,8 @@ def faults(words: list[str]) -> list[str]:
         meant = [meant[0].commands.get(each) for each in name.split("|")]
         if None in meant:
             return [name]
+        if name == "bench":
+            meant = [get_command(benchmarks)]
     known = {option for command in meant for param in command.params for option in (*param.opts, *param.secondary_opts)}
     options = [re.match(r"\[?(--[a-z][a-z0-9-]*|-[a-z]\b)", word) for word in rest]
     wrong = [option[1] for option in options if option and option[1] not in {*known, "--help"}]

@@ -19,7 +19,7 @@ EXPERIMENTS = sorted((DOCS / "experiments").glob("*.md"))
 GENERATED = DOCS / "cli.md"
 WRAPPED = [page for page in PAGES if page not in (GENERATED, DOCS / "types.md", ROOT / "README.md", ROOT / "ARCHITECTURE.md")]
 MAX_PROSE_COLUMNS = 100
-SOURCE_FOLDERS = ("core", "viewer", "radiant_app", "radiant", "examples", "sample_scenes", "tests", "tools")
+SOURCE_FOLDERS = ("core", "viewer", "radiant_app", "radiant", "benchmarks", "examples", "sample_scenes", "tests", "tools")
 
 
 def page_id(page: Path) -> str:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import RunConfig
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor, NodeTask
@@ -26,7 +26,6 @@ from radiant_app.workers.nodes import CUT_SCENE
 from radiant_app.workers.sources import sfm_record
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.tree import Tree, tree_of_plan
-from radiant_core.evaluate.held_out import held_out_psnr_db
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
 from radiant_core.hierarchy.choosing import CUT, JOINED, REFINED
@@ -39,6 +38,7 @@ from radiant_core.io.photos.masks import mask_name
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_splats, save_cameras, save_plan
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.light.held_out import held_out_psnr_db
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
@@ -116,7 +116,7 @@ def hamlet_of_two_tiers(folder: Path) -> World:
         config=RunConfig(source=hamlet / "images", out=folder), scene=result.scene, images=result.undistorted_folder
     )
     recipe = planned(
-        photographs, unequal(even_system(2, 2)), DRAFT, AggregateConfig(num_epochs=1, edge_epochs=2, refine_epochs=2, refine_rounds=2)
+        photographs, unequal(even_system(2, 2)), DRAFT, AggregateConfig(cloud_epochs=1, edge_epochs=2, refine_epochs=2, refine_rounds=2)
     )
     return World(photographs=photographs, recipe=replace(recipe, upload="float16"))
 
@@ -133,7 +133,7 @@ def ground_crop_merged(folder: Path) -> World:
 
 def ground_that_only_fades(folder: Path) -> World:
     """Two edges of one device each, whose models the cloud leaves to the devices; exact uploads."""
-    return ground(folder, even_system(2, 1), AggregateConfig(num_epochs=0, refine_epochs=2, refine_rounds=2))
+    return ground(folder, even_system(2, 1), AggregateConfig(cloud_epochs=0, refine_epochs=2, refine_rounds=2))
 
 
 def ground(folder: Path, system: System, aggregate: AggregateConfig) -> World:
@@ -169,7 +169,7 @@ def town_of_the_paper(folder: Path) -> World:
     photographs = PooledPhotographs(
         config=RunConfig(source=town / "images", out=folder), scene=result.scene, images=result.undistorted_folder
     )
-    recipe = planned(photographs, even_system(2, 2), PAPER, replace(aggregate_preset("paper"), num_epochs=2, edge_epochs=2))
+    recipe = planned(photographs, even_system(2, 2), PAPER, replace(aggregate_preset("paper"), cloud_epochs=2, edge_epochs=2))
     return World(photographs=photographs, recipe=replace(recipe, upload="float16"))
 
 

@@ -11,10 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_app.events import Event, Warned
-from radiant_app.executors import local, network
+from radiant_app.executors import local
+from radiant_app.network import executor as network
 from radiant_app.network import hub
 from radiant_app.network.errands import Errands
 from radiant_app.run import over_network

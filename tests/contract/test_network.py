@@ -13,12 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands import node as commands
-from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.inspect_feeds import feeds_of
+from radiant_app.commands.inspect.feeds import feeds_of
+from radiant_app.commands.network import node as commands
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import Event, StageDone, StageProgress
-from radiant_app.executors import local, network
+from radiant_app.executors import local
+from radiant_app.network import executor as network
 from radiant_app.network import hub
 from radiant_app.run import over_network
 from radiant_app.run.pipeline import RunResult, run

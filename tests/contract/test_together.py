@@ -62,7 +62,7 @@ def overlapping_ground(folder: Path) -> World:
 
 def one_edge_of_two(folder: Path) -> World:
     """Two edges, of which one trains a model with its devices; the cloud joins and devices refine."""
-    world = ground(folder, even_system(2, 2), AggregateConfig(num_epochs=1, edge_epochs=1, refine_epochs=1, refine_rounds=1))
+    world = ground(folder, even_system(2, 2), AggregateConfig(cloud_epochs=1, edge_epochs=1, refine_epochs=1, refine_rounds=1))
     return replace(world, recipe=grouped(world.recipe, ("edges/edge-1",)))
 
 
@@ -163,9 +163,16 @@ def test_a_machine_that_is_killed_comes_back_and_nothing_changes(
 
 
 @pytest.mark.parametrize(
-    ("name", "victim"), [("masked hamlet", "devices/edge-1-1"), ("masked hamlet", "edges/edge-2"), ("masked ground", "devices/edge-1-2")]
+    ("name", "victim"),
+    [
+        ("masked hamlet", "devices/edge-1-1"),
+        ("masked hamlet", "edges/edge-2"),
+        ("masked hamlet", "cloud"),
+        ("masked ground", "devices/edge-1-2"),
+        ("masked ground", "edges/edge-1"),
+    ],
 )
-def test_under_masks_a_machine_that_is_killed_comes_back_and_all_of_its_sum_begin_anew(
+def test_under_masks_a_machine_that_is_killed_comes_back_all_of_its_sum_begin_anew_and_nothing_changes(
     name: str, victim: str, worlds: dict[str, World], oracle: dict[str, Oracle], command: Callable[[NodeTask], list[str]], tmp_path: Path
 ) -> None:
     world, killed, warned = worlds[name], threading.Event(), list[str]()
@@ -180,7 +187,8 @@ def test_under_masks_a_machine_that_is_killed_comes_back_and_all_of_its_sum_begi
                 os.kill(pid, signal.SIGKILL)
 
     executor = LocalExecutor(num_workers=2, command=command, retry_policy=RetryPolicy(max_attempts=3))
-    fold(world, tmp_path / "run", executor, listen)
+    cloud = fold(world, tmp_path / "run", executor, listen)
+    assert_same(oracle[name].run.scene.splats, load_ply(cloud / "scene.ply"))
     summary = read_json(tmp_path / "run" / root / "summary.json")
     # The sum of keys that do not fit each other is noise, and refused.
     assert (summary["num_steps"], summary["num_refused"]) == (trained.result.num_steps, 0)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from radiant_app.events import Event, Warned
+from radiant_app.events import Event, StageProgress, Warned
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.run.groups import end_groups, prepare_meetings, tell_parents, with_groups
@@ -18,8 +21,9 @@ from radiant_core.hierarchy.messages import CloudTask
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.ply import load_ply
 from radiant_core.io.run_store import is_sealed, read_json
+from tests.contract.lying_worker import LIAR
 from tests.contract.test_hierarchy import World
-from tests.contract.test_together import all_of_the_hamlet, one_edge_of_two
+from tests.contract.test_together import all_of_the_hamlet, fold, one_edge_of_two, pids_of
 from tests.forked_workers import forked_workers
 
 
@@ -68,3 +72,26 @@ def test_a_device_with_more_cameras_than_were_dealt_to_it_is_refused_and_ends(
     assert any(f"devices/{liar}" in message and "refuses what this device begins with" in message for message in warned), warned
     assert any(f"steps go on without {liar}" in message for message in warned), warned
     assert read_json(run / root / "summary.json")["num_refused"] == 0
+
+
+def test_two_devices_of_which_one_lies_are_both_named_once_although_their_edge_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "world").mkdir()
+    world, run, warned, killed = all_of_the_hamlet(tmp_path / "world"), tmp_path / "run", list[str](), threading.Event()
+    edge, honest = f"edges/{LIAR.rsplit('-', 1)[0]}", "edge-1-1"
+
+    def listen(event: Event) -> None:
+        if isinstance(event, Warned):
+            warned.append(f"{event.stage}: {event.message}")
+        if isinstance(event, StageProgress) and event.stage == "cloud" and event.done >= 30 and not killed.is_set():
+            killed.set()
+            for pid in pids_of(run / edge):
+                os.kill(pid, signal.SIGKILL)
+
+    policy = RetryPolicy(max_attempts=3)
+    with forked_workers(tmp_path, "tests.contract.lying_worker") as command:
+        fold(world, run, LocalExecutor(num_workers=2, command=command, retry_policy=policy), listen)
+    assert killed.is_set() and any(message.startswith(f"{edge}: ") and "tried again" in message for message in warned), warned
+    (named,) = [message for message in warned if message.startswith(f"{edge}: {honest} and {LIAR} contradict each other")]
+    assert "as long as edge-1-2's" in named and "all of them count" in named
+    # The other edge has two honest devices, and nothing to say.
+    assert not any("edges/edge-2: " in message and "contradict" in message for message in warned)

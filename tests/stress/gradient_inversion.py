@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from radiant_app.bench.cells import bench_settings, load_bench_scene
+from benchmarks.methods.cells import bench_settings, load_bench_scene
 from radiant_core.cameras import Cameras
 from radiant_core.choices import StepFormat
 from radiant_core.evaluate.image_error import psnr_db

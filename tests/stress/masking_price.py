@@ -19,7 +19,7 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.together.codec import decode_gradients, encode_gradients
 from radiant_core.train.together.gradients import Layout, StepGradients
-from radiant_core.train.together.masking import FixedPoint, MaskKeys, encode_masked, unmask_sum
+from radiant_core.train.together.masking import FixedPoint, MaskKeys, encode_masked, first_magnitudes, unmask_sum
 from radiant_core.train.together.scrutiny import Scrutiny
 
 NUM_DEVICES, NUM_SPLATS, NUM_ROWS = 6, 60_000, 20_000
@@ -61,7 +61,7 @@ def main() -> None:
     privates = {name: X25519PrivateKey.generate() for name in gradients}
     publics = {name: each.public_key().public_bytes_raw() for name, each in privates.items()}
     keys = {name: MaskKeys.agree(name, each, publics, "price") for name, each in privates.items()}
-    unit = FixedPoint.first(LAYOUT)
+    unit = FixedPoint.of(first_magnitudes(LAYOUT), len(gradients))
     mask_ms = least_ms(lambda: encode_masked(gradients["d0"], next(step), NUM_SPLATS, unit, keys["d0"]), 5)
     at = next(step)
     masked = {name: encode_masked(each, at, NUM_SPLATS, unit, keys[name]) for name, each in gradients.items()}

@@ -38,25 +38,25 @@ from radiant_app.events import (
     Warned,
     encode,
 )
-from radiant_app.executors.network import admit_event
 from radiant_app.files.run_folder import Manifest
 from radiant_app.network.contents import check_result, open_report, settle_notes
 from radiant_app.network.errands import PollAnswer
+from radiant_app.network.executor import admit_event
 from radiant_app.network.home import accept_invitation, invitation_text, make_home, new_invitation
 from radiant_app.network.messages import EDGE_TASKS, EdgeCountTask, EdgeRasterTask, EdgeRefineTask, EdgeScoreTask
 from radiant_app.network.packs import LIST_NAME, SIGNATURE_NAME, open_pack, read_join, write_join
+from radiant_app.reporting import read_notes
 from radiant_app.run.captured import place_rasters
 from radiant_app.run.scoring import combine_figures
+from radiant_app.strangers import parse_record
 from radiant_app.workers.inbox import load_corrections
-from radiant_app.workers.reporting import read_notes
 from radiant_app.workers.scores import Claimable, admit_scores
-from radiant_app.workers.strangers import parse_record
 from radiant_app.workers.tasks import TASKS, CountTask, Move, OwnFieldTask, RasterTask, ScoreTask, SfmSettings
 from radiant_core.aggregate.averaging import Refinement
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
-from radiant_core.io.messages import NOTHING, load_device_model, load_refinement, load_task, save_refinement, save_task, sim3_record
+from radiant_core.hierarchy.codec import NOTHING, load_device_model, load_refinement, load_task, save_refinement, save_task, sim3_record
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import parse_json, write_json
 from radiant_core.io.transport.delivery import SentFile, describe_files

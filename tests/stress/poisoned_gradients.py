@@ -1,10 +1,11 @@
 """What devices that lie in every step cost those that train with them: python -m tests.stress.poisoned_gradients SCENE OTHER
-[--px 128] [--views 1000] [--attacks NAME,NAME] [--unchecked].
+[--px 128] [--views 1000] [--attacks NAME,NAME] [--unchecked] [--devices 6].
 
 SCENE is dealt to one edge with six devices, of which two send poison; OTHER has the photographs of another place. Prints,
 per attack, PSNR of the photographs held out where the four others are (nearer to one of their cameras than to the two's),
 how many messages of the two were refused, the step in which they were left out, and messages refused of the four.
-`absent`: the two are not there from the start; `honest`: they do not lie.
+`absent`: the two are not there from the start; `honest`: they do not lie. With `--devices 2 --attacks honest` how far two that
+do not lie are from contradicting each other.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 import torch
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from radiant_app.bench.cells import BenchScene, Layout, ModelCache, bench_settings, deal_cell, load_bench_scene
+from benchmarks.methods.cells import BenchScene, Layout, ModelCache, bench_settings, deal_cell, load_bench_scene
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.messages import device_task
@@ -113,11 +114,16 @@ class Liar:
         """As the holder."""
         self.holder.take(total)
 
+    def follow(self, other: Holder) -> None:
+        """As the holder."""
+        self.holder.follow(other)
+
 
 @dataclass
 class Watched:
     """What honest messages come to: by how much lengths differ from the median of a step, which share
-    of the limits they are, and the lowest share of the median that a mean cosine has."""
+    of the limits they are, the lowest share of the median that a mean cosine has, and the lowest that
+    one is at most."""
 
     most: np.ndarray | float = 0.0
     least: np.ndarray | float = 1.0
@@ -125,24 +131,26 @@ class Watched:
     num_steps: int = 0
     of_limit: float = 0.0
     direction: float = np.inf
+    cosine: float = np.inf
 
     def look(self, scrutiny: Scrutiny, sent: Mapping[str, StepGradients], layout: together.Layout) -> None:
         """Look at the messages of a step."""
         lengths = np.array([tensor_lengths(each.values, layout) / each.num_views for each in sent.values() if each.num_views])
         factors = np.where(lengths.any(0), lengths / np.maximum(np.median(lengths, axis=0), 1e-30), 1.0)
         self.most, self.least = np.maximum(self.most, factors.max(0)).round(2), np.minimum(self.least, factors.min(0)).round(3)
-        if len(factors) == NUM_DEVICES:
+        if len(factors) == len(scrutiny.standings):
             self.logs, self.num_steps = self.logs + np.log(np.maximum(factors, 1e-3)), self.num_steps + 1
         self.of_limit = max(self.of_limit, (lengths / view_limits(scrutiny.config, layout)).max())
         able = [each for each in scrutiny.standings.values() if each.num_steps >= MIN_STEPS]
         if able:
             usual = float(np.median([each.mean for each in able]))
+            self.cosine = min(self.cosine, *(each.mean + NUM_ERRORS * each.error for each in able))
             self.direction = min(self.direction, *((each.mean + NUM_ERRORS * each.error) / usual for each in able))
 
     def __str__(self) -> str:
         steady = np.exp(self.logs / max(self.num_steps, 1))
         ends = f"of a step {self.least} to {self.most}, of the mean {np.min(steady, 0).round(2)} to {np.max(steady, 0).round(2)}"
-        return f"lengths {ends}, {self.of_limit:.4f} of the limits, direction {self.direction:.2f} of the usual"
+        return f"lengths {ends}, {self.of_limit:.4f} of the limits, direction {self.direction:.2f} of the usual, cosine {self.cosine:.3f}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,7 +195,7 @@ def train(case: Case, attack: str, watched: Watched, *, checked: bool, masked: b
     plan = GroupTraining(
         root=f"edges/{recipe.edge_plans[0].edge_id}",
         views={recipe.edge_plans[0].edge_id: dict.fromkeys(devices, 1)},
-        num_steps=case.num_views * len(devices) // NUM_DEVICES,
+        num_steps=case.num_views * len(devices) // len(recipe.edge_plans[0].device_ids),
     )
     prepared = {}
     for device in devices:
@@ -204,7 +212,7 @@ def train(case: Case, attack: str, watched: Watched, *, checked: bool, masked: b
     holders: dict[str, Any] = {}
     keys = mask_keys(devices) if masked else {}
     for device, each in prepared.items():
-        open_holder = hold_share(each, device, start, plan)
+        open_holder = hold_share(each, device, start, plan.seat_of(device))
         holders[device] = Holder(open_holder.replica, group, keys[device]) if masked else open_holder
     for number, device in enumerate(liars):
         if attack in ATTACKS:
@@ -233,11 +241,11 @@ def mask_keys(devices: Sequence[str]) -> dict[str, MaskKeys]:
     return {device: MaskKeys.agree(device, private, publics, "stress") for device, private in privates.items()}
 
 
-def case_of(source: Path, foreign: Path, px: int, num_views: int) -> Case:
+def case_of(source: Path, foreign: Path, px: int, num_views: int, num_devices: int = NUM_DEVICES) -> Case:
     """A scene dealt to one edge with six devices."""
     scene, other = (load_bench_scene(path, px) for path in (source, foreign))
     settings = bench_settings(px, num_views)
-    cell = deal_cell(scene, ModelCache(folder=Path("unused")), settings, Layout(num_edges=1, num_devices=NUM_DEVICES))
+    cell = deal_cell(scene, ModelCache(folder=Path("unused")), settings, Layout(num_edges=1, num_devices=num_devices))
     return Case(scene=scene, recipe=cell.recipe, other=other, num_views=num_views)
 
 
@@ -266,21 +274,25 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=1_000)
     parser.add_argument("--attacks", default=",".join([ABSENT, HONEST, *ATTACKS, OTHER, OTHER_START]))
     parser.add_argument("--unchecked", action="store_true")
+    parser.add_argument("--devices", type=int, default=NUM_DEVICES)
     arguments = parser.parse_args()
     names = arguments.attacks.split(",")
     if unknown := set(names) - {ABSENT, HONEST, OTHER, OTHER_START, *ATTACKS}:
         parser.error(f"no attack is called {', '.join(unknown)}: choose from {', '.join(ATTACKS)}")
+    if arguments.devices < NUM_DEVICES and names != [HONEST]:
+        parser.error(f"two of {NUM_DEVICES} devices lie: with fewer use --attacks {HONEST}")
     torch.set_num_threads(1)
-    case = case_of(arguments.scene, arguments.other, arguments.px, arguments.views)
+    case = case_of(arguments.scene, arguments.other, arguments.px, arguments.views, arguments.devices)
     for attack in names:
         begun_s = time.process_time()
         watched = Watched()
         splats, inbox = train(case, attack, watched, checked=not arguments.unchecked)
-        refused = {name: len(reasons) for name, reasons in inbox.refused.items()}
-        first = {name: reasons[0] for name, reasons in inbox.refused.items()}
+        refused = {name: each.count for name, each in inbox.refused.items()}
+        first = {name: each.first for name, each in inbox.refused.items()}
         out = {} if inbox.scrutiny is None else dict(inbox.scrutiny.left_out)
         cpu_s = time.process_time() - begun_s
-        print(f"{attack}: {honest_psnr(case, splats):.3f} dB, {len(splats)} Gaussians, refused {refused}, {cpu_s:.0f} CPU s", flush=True)
+        psnr = honest_psnr(case, splats) if arguments.devices == NUM_DEVICES else np.nan
+        print(f"{attack}: {psnr:.3f} dB, {len(splats)} Gaussians, refused {refused}, {cpu_s:.0f} CPU s", flush=True)
         print(f"    {watched if attack in (HONEST, ABSENT) else first}\n    {out}", flush=True)
 
 

@@ -14,17 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_app.bench.arms import load_arms
-from radiant_app.bench.cells import Cell, Layout, bench_settings
+from benchmarks.methods.arms import load_arms
+from benchmarks.methods.cells import Cell, Layout, bench_settings
 from radiant_core.aggregate import averaging
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.shown_pixels import count_shown_photographs
 from radiant_core.geometry.coverage import reached_by
+from radiant_core.hierarchy.codec import passed_refinement
 from radiant_core.hierarchy.in_process import devices_in, run_in_process
 from radiant_core.hierarchy.refine import refine_device
 from radiant_core.hierarchy.reporter import Recorder
-from radiant_core.io.messages import passed_refinement
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 from radiant_core.train.worth import worth_training

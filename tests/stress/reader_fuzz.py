@@ -29,11 +29,11 @@ from radiant_app.files.profile_file import load_profile
 from radiant_app.files.system_file import load_system
 from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.errors import BadInput
+from radiant_core.export.glb import glb_bytes
+from radiant_core.export.lod import META_NAME, save_lod
+from radiant_core.export.sog import save_sog, save_sog_folder
 from radiant_core.frames import Frame
 from radiant_core.io.colmap.model import read_model
-from radiant_core.io.export.glb import glb_bytes
-from radiant_core.io.export.lod import META_NAME, save_lod
-from radiant_core.io.export.sog import save_sog, save_sog_folder
 from radiant_core.io.lod_reader import load_lod_level
 from radiant_core.io.open3d_formats import splats_from_spz, spz_bytes
 from radiant_core.io.photos.jpeg import read_jpeg_facts
@@ -43,10 +43,10 @@ from radiant_core.io.poses.recognise import alignment_files, read_alignment
 from radiant_core.io.records import load_cameras, load_plan, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.sog_reader import load_sog
 from radiant_core.io.transport.upload import load_upload, save_upload
-from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.lod.cells import whole_region
 from radiant_core.lod.levels import LodLimits
 from radiant_core.scene import SfmScene
+from radiant_core.waypoints.reader import read_waypoints
 from tests.core.io.glb_reader import load_glb
 from tests.core.io.poses import writers
 from tests.core.io.poses.bent_hamlet import Truth
@@ -408,6 +408,15 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
 }
 
 
+def main(names: list[str], count: int, first: int) -> None:
+    """One line a format, as each is done."""
+    for name in names:
+        with tempfile.TemporaryDirectory(dir="/dev/shm") as made:
+            begun = time.process_time()
+            report = fuzz(name, count, SEED, Path(made), first)
+            print(f"{name}: {time.process_time() - begun:.0f} CPU s", report, flush=True)
+
+
 if __name__ == "__main__":
-    with tempfile.TemporaryDirectory(dir="/dev/shm") as made:
-        print(fuzz(sys.argv[1], int(sys.argv[2]), SEED, Path(made), int(sys.argv[3]) if len(sys.argv) > 3 else 0))
+    chosen = {"alignments": list(ALIGNMENTS), "all": list(TARGETS)}.get(sys.argv[1], sys.argv[1].split(","))
+    main(chosen, int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 0)

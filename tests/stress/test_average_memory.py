@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from radiant_core.aggregate.averaging import Refinement
 from radiant_core.cameras import concatenate_cameras
-from radiant_core.io.messages import save_refinement
+from radiant_core.hierarchy.codec import save_refinement
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import save_cameras
 from radiant_core.splats import SH_BASES, Splats
@@ -44,7 +44,7 @@ import sys
 from pathlib import Path
 from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_app.workers.refining import run_average, run_finish
-from radiant_app.workers.reporting import EventReporter
+from radiant_app.reporting import EventReporter
 from radiant_app.workers.tasks import AverageTask, FinishTask
 
 folder, kind, num_senders = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])

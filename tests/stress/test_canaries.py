@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_core.hierarchy.codec import FRAME_NAME, MODEL_NAME, VIRTUAL_CAMERAS
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.text import write_model
-from radiant_core.io.messages import FRAME_NAME, MODEL_NAME, VIRTUAL_CAMERAS
 from radiant_core.io.records import load_cameras, load_scene
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, Canaries, Search, add_broken, canaries_of, files_with, watermark
 from tests.app.test_field import assert_models_and_little_else_were_sent

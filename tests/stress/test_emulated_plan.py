@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
 

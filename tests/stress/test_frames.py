@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import demo_config
+from radiant_app.commands.run.demo import demo_config
 from radiant_app.run.pipeline import run
 from radiant_core.cameras import Cameras
 from radiant_core.frames import Sim3

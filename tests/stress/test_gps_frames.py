@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
-from radiant_app.commands.demo import DEMO_TRAINING, sample_scenes_folder
+from radiant_app.commands.run.demo import DEMO_TRAINING, sample_scenes_folder
 from radiant_app.config.run_config import RunConfig
 from radiant_app.run.pipeline import run
 from radiant_core.cameras import Cameras
 from radiant_core.errors import StageFailed
 from radiant_core.frames import Sim3, geodetic_from_enu
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.geometry.similarity import move_cameras
+from radiant_core.hierarchy.codec import sim3_of
 from radiant_core.io.colmap.model import read_model
-from radiant_core.io.messages import sim3_of
 from radiant_core.io.records import load_scene
-from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.world import cameras_of
 
 DATA = Path(os.environ.get("RADIANT_DATA", Path(__file__).parents[3] / "shared" / "data"))

@@ -26,7 +26,7 @@ import pytest
 import radiant_app.report.html
 import radiant_app.run.pipeline
 import radiant_app.run.stages
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_app.events import Event, StageDone, StageStarted, Warned
 from radiant_core.io.records import load_plan

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from tests.core.sfm.test_kept_database import content
 
 pytestmark = pytest.mark.stress
@@ -81,7 +81,7 @@ def test_a_polite_kill_of_the_command_leaves_one_sentence_and_a_folder_that_goes
         process.terminate()
         _, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
-    assert errors.splitlines()[-1] == "radiant: interrupted. What was finished is kept: go on with the same command and --resume."
+    assert errors.splitlines()[-1] == "radiant: interrupted. Finished work is kept: repeat the command with --resume."
     assert "@ 0x" not in errors
     refused = subprocess.run(command, capture_output=True, text=True, check=False)
     assert refused.returncode == 2 and "--resume" in refused.stderr

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from tests.stress.kill_harness import differing_files, random_moments, run_killed, run_whole
 
 pytestmark = pytest.mark.stress

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.evaluate import EvaluateRequest, evaluate
-from radiant_app.commands.train import TrainRequest, train
+from radiant_app.commands.model.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Event, StageSkipped
 from radiant_app.report.progress import ProgressDisplay

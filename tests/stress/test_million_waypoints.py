@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands.plan import PlanRequest, plan
+from radiant_app.commands.plan.plan import PlanRequest, plan
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan_waypoints
-from radiant_core.io.waypoints.reader import read_waypoints
+from radiant_core.waypoints.reader import read_waypoints
 
 pytestmark = pytest.mark.stress
 COUNT = 1_000_000

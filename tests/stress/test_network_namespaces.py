@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.network.line import MAX_WAIT_S
-from radiant_core.io.messages import MODEL_NAME
+from radiant_core.hierarchy.codec import MODEL_NAME
 from tests.app.network_namespaces import PORT, ROOT, Machines, machines_in, why_not
 from tests.app.network_nodes import split_photographs
 from tests.app.network_transfer import make_edge, write_model

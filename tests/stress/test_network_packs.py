@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands import node_packs
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.network import packs as node_packs
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
 from tests.app.network_processes import ROOT, Fleet, run_here
 
 pytestmark = pytest.mark.stress
 LONGEST_S = 1500.0
 WORK = (
-    "import sys; from pathlib import Path; from radiant_app.commands import node; from tests.app.network_processes import command; "
+    "import sys; from pathlib import Path; from radiant_app.commands.network import node; from tests.app.network_processes import command; "
     "home, photos, poses = map(Path, sys.argv[1:]); "
     "node.Running(command=command).work(home, photos, poses, lambda text: True, offline=True)"
 )

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOptions
 from radiant_app.events import Event, StageDone
-from radiant_app.executors import local, network
+from radiant_app.executors import local
+from radiant_app.network import executor as network
 from radiant_app.network import hub
 from radiant_app.run import over_network
 from radiant_app.run.pipeline import run

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from radiant_core.io.messages import MODEL_NAME
+from radiant_core.hierarchy.codec import MODEL_NAME
 from tests.app.network_nodes import free_port
 from tests.app.network_proxy import Link
 from tests.app.network_transfer import make_edge, write_model

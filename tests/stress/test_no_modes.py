@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from tests.app.no_modes import without_modes
 
 pytestmark = pytest.mark.stress

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from radiant_app.bench.plan import camera_layout
+from benchmarks.plan import camera_layout
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.counts.deadline import edge_tables
 from radiant_core.plan.plans import CloudPlan

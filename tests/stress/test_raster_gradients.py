@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from radiant_app.bench.drone_scene import SIZES, drone_scene
-from radiant_app.bench.raster_accuracy import tile_errors
+from benchmarks.raster.accuracy import tile_errors
+from benchmarks.raster.drone_scene import SIZES, drone_scene
 from radiant_core.render.contract import SplatTensors
 from radiant_core.render.rasterize import rasterize
 from radiant_core.train.native_loss import TargetStatistics, target_loss

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 
 pytestmark = pytest.mark.stress
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from radiant_core.geometry.align import compare_centers
 from radiant_core.io.colmap.model import read_model
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.reconstruct import reconstruct
-from radiant_core.sfm.world_frame.align import compare_centers
 
 DATA = Path(os.environ.get("RADIANT_DATA", Path(__file__).parents[3] / "shared" / "data"))
 MAX_GPS_RESIDUAL_M = {"brighton": 0.5, "lewis": 6.5, "caliterra": 25.0}

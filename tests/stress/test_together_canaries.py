@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_core.io.records import load_cameras
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, Parts, canaries_of, files_with
 from tests.stress.test_canaries import DEVICES, SYSTEM, assert_each_kind_is_found_when_planted, kept_socket_bytes, marked_photographs

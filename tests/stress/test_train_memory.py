@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 
 pytestmark = pytest.mark.stress
 
@@ -17,7 +17,7 @@ TOLERANCE = 0.1
 GROWING = """
 import json, sys
 from dataclasses import replace
-import radiant_app.commands.train as command
+import radiant_app.commands.run.train as command
 from radiant_app.workers.memory import peak_bytes
 from radiant_core.io.run_store import read_json
 from pathlib import Path

@@ -17,8 +17,8 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 from radiant_app.files.event_file import EventFile
 from radiant_app.events import StageProgress, StageStarted
-from radiant_app.commands.inspect import run_setting
-from radiant_app.commands.inspect_feeds import feeds_of
+from radiant_app.commands.inspect.window import run_setting
+from radiant_app.commands.inspect.feeds import feeds_of
 from radiant_core.io.run_store import RunLock, write_json
 from radiant_viewer.window.inspector import open_window
 from radiant_viewer.editing.plan_edits import LockRegion, MoveEdge

@@ -1,8 +1,10 @@
 """How good a model is that four devices train together, by views a step, what overlaps and what travels: a row as JSON.
 
     python -m tests.stress.together_views SCENE [--views 2,1] [--layout 2x2] [--steps 500] [--overlaps] [--form blocks] [--beta1 0.8]
+        [--harmonics-every 4]
 
-SCENE: a folder of `radiant sfm`. `--views`: of the devices of an edge, in turn. The rows of docs/experiments/together.md are its.
+SCENE: a folder of `radiant sfm`. `--views`: of the devices of an edge, in turn. `--harmonics-every`: gradients of harmonics travel, and
+count, in every n-th step only; in the others they are 0. The rows of docs/experiments/together.md are its.
 """
 
 from __future__ import annotations
@@ -10,6 +12,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
@@ -18,14 +22,49 @@ from unittest.mock import PropertyMock, patch
 
 import numpy as np
 
-from radiant_app.bench.cells import ModelCache, bench_settings, deal_cell, layout_of, load_bench_scene
+from benchmarks.methods.cells import ModelCache, bench_settings, deal_cell, layout_of, load_bench_scene
+from radiant_core.choices import StepFormat
 from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.hierarchy.group_in_process import train_group
 from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.light.canonical import light_of_score, show_in_light
 from radiant_core.render.rendered_view import render_views
+from radiant_core.train.together import roles
+from radiant_core.train.together.codec import decode_gradients, encode_gradients
+from radiant_core.train.together.gradients import Layout, StepGradients
 from radiant_core.train.together.replica import Group
+
+HARMONICS = "shN"
+
+
+@contextmanager
+def harmonics_every(every: int) -> Iterator[None]:
+    """Messages without harmonics in all steps but every n-th."""
+
+    def travelling(step: int, layout: Layout) -> Layout:
+        if step % every == 0 or HARMONICS not in layout.shapes:
+            return layout
+        return replace(layout, shapes={name: shape for name, shape in layout.shapes.items() if name != HARMONICS})
+
+    def encode(gradients: StepGradients, step: int, num_splats: int, layout: Layout, form: StepFormat) -> bytes:
+        sent = travelling(step, layout)
+        columns = [*(column for name in sent.shapes for column in range(layout.num_columns)[layout.columns[name]]), layout.growth]
+        return encode_gradients(replace(gradients, values=gradients.values[:, columns]), step, num_splats, sent, form)
+
+    def decode(
+        message: bytes | memoryview, step: int, num_splats: int, layout: Layout, most_views: int, *, checks: bool = True
+    ) -> StepGradients:
+        sent = travelling(step, layout)
+        gradients = decode_gradients(message, step, num_splats, sent, most_views, checks=checks)
+        values = np.zeros((len(gradients.rows), layout.num_columns), np.float32)
+        for name, columns in sent.columns.items():
+            values[:, layout.columns[name]] = gradients.values[:, columns]
+        values[:, layout.growth] = gradients.values[:, sent.growth]
+        return replace(gradients, values=values)
+
+    with patch.object(roles, "encode_gradients", encode), patch.object(roles, "decode_gradients", decode):
+        yield
 
 
 def main() -> None:
@@ -40,6 +79,7 @@ def main() -> None:
     parser.add_argument("--overlaps", action="store_true")
     parser.add_argument("--form", choices=["float32", "bfloat16", "blocks"], default="blocks")
     parser.add_argument("--beta1", type=float)
+    parser.add_argument("--harmonics-every", type=int, default=1)
     asked = parser.parse_args()
     layout, scene = layout_of(asked.layout), load_bench_scene(asked.scene, asked.px)
     assert layout is not None
@@ -56,11 +96,11 @@ def main() -> None:
         form=asked.form,
     )
     begun_s = time.process_time()
-    if asked.beta1 is None:
+    with ExitStack() as changes:
+        changes.enter_context(harmonics_every(asked.harmonics_every))
+        if asked.beta1 is not None:
+            changes.enter_context(patch.object(Group, "beta1", new_callable=PropertyMock, return_value=asked.beta1))
         run = train_group(recipe, plan, scene.training, scene.views)
-    else:
-        with patch.object(Group, "beta1", new_callable=PropertyMock, return_value=asked.beta1):
-            run = train_group(recipe, plan, scene.training, scene.views)
     cpu_s, cameras = time.process_time() - begun_s, scene.held_out_views.cameras
     light = light_of_score(run.result.splats, scene.views, cameras, scene.captures, recipe.train.light)
     shown = [each.image for each in render_views(run.result.splats, cameras)]
@@ -70,6 +110,7 @@ def main() -> None:
         "views": plan.views_per_step,
         "overlaps": plan.overlaps,
         "form": plan.form,
+        "harmonics_every": asked.harmonics_every,
         "beta1": asked.beta1 or run.start.group.beta1,
         "psnr_db": round(float(np.mean([psnr_db(*pair) for pair in pairs])), 3),
         "psnr_cc_db": round(float(np.mean([psnr_db(correct_colors(*pair), pair[1]) for pair in pairs])), 3),

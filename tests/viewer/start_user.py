@@ -18,9 +18,9 @@ from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QWidget
 
-from radiant_app.commands.inspect import opening_of
-from radiant_app.commands.inspect_feeds import feeds_of, run_state, start_feeds
-from radiant_app.commands.run_control import BegunCommand
+from radiant_app.commands.inspect.feeds import feeds_of, run_state, start_feeds
+from radiant_app.commands.inspect.window import opening_of
+from radiant_app.commands.run.control import BegunCommand
 from radiant_viewer.start.start_feeds import StartFeeds
 from radiant_viewer.window.inspector import open_start
 from radiant_viewer.window.start_window import StartWindow
@@ -74,7 +74,9 @@ def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> d
     was_there = listed_file.exists()
     user.click(window.copy, "Copy")
     kept = listed_file.read_text()
-    window.machines.table.item(0, 2).setText("many")
+    cell = window.machines.table.item(0, 2)
+    assert cell is not None
+    cell.setText("many")
     until(window.machines.said.text, "a wrong number was taken", PATIENCE_S)
     refused = window.machines.said.text()
     window.machines.kind.setCurrentText("This machine alone")

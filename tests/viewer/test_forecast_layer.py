@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.charts.line_chart import Line, Panel, line_picture
 from radiant_core.errors import BadInput
 from radiant_core.plan.borders.forecast import BorderForecast, Risk
-from radiant_viewer.charts.line_chart import Line, Panel, line_picture
 from radiant_viewer.charts.partition_chart import Partition, partitions_picture
 from radiant_viewer.layers.forecast_layer import RISK_COLORS, forecast_layers
 from radiant_viewer.layers.palette import category_colors

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.inspect import Picture, inspect_with_open3d
+from radiant_app.commands.inspect.window import Picture, inspect_with_open3d
 from radiant_core.errors import BadInput, StageFailed
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.open3d_window import launch

@@ -25,7 +25,7 @@ from PySide6.QtCore import QPoint, QTimer, Qt
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
-from radiant_app.commands.inspect import run_setting
+from radiant_app.commands.inspect.window import run_setting
 from radiant_core.plan.borders.borders import shared_borders
 from radiant_viewer.editing import plan_session
 from radiant_viewer.editing.plan_edits import FixWeight, MoveEdge
@@ -133,7 +133,7 @@ def test_the_window_drags_pins_undoes_saves_and_loses_nothing(
     display: str,
 ) -> None:
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
-    from radiant_app.commands.inspect import run_setting
+    from radiant_app.commands.inspect.window import run_setting
 
     save_run(tmp_path / "run", made_up_town())
     lines = [

@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_core.choices import View
 from radiant_viewer.layers.seam_layer import color_steps, seam_pieces
 from radiant_viewer.runs.border_figures import seam_band_width

@@ -22,10 +22,10 @@ import cv2
 import numpy as np
 import pytest
 
+from radiant_core.export.scene import save_spz
+from radiant_core.export.sog import save_sog
+from radiant_core.export.tiles import TileOptions, save_tiles
 from radiant_core.frames import ecef_from_local, geodetic_from_enu
-from radiant_core.io.export.scene import save_spz
-from radiant_core.io.export.sog import save_sog
-from radiant_core.io.export.tiles import TileOptions, save_tiles
 from radiant_core.io.ply import save_ply
 from radiant_core.lod.cells import whole_region
 from radiant_core.render.rendered_view import render_views

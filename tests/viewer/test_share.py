@@ -75,9 +75,9 @@ def test_the_folder_holds_the_model_the_viewer_its_licences_and_what_is_drawn(ru
     apex = layers["Cameras"]["lines"][0]["points"][5]
     assert apex == pytest.approx([center[0], center[2], -center[1]], abs=1e-3)
     titles = [place["title"] for place in scene["settings"]["annotations"]]
-    assert sum(title.startswith("Seam") for title in titles) == 3
+    assert sum(title.startswith("Border") for title in titles) == 3
     worst = min(run.placed_psnr_db, key=lambda name: run.placed_psnr_db[name])
-    assert titles[3] == worst, "after the seams the worst photograph"
+    assert titles[3] == "Weakest view" and worst in scene["settings"]["annotations"][3]["text"], "after the seams the worst photograph"
     assert "town &lt;&amp;&gt;" in (page_folder / "index.html").read_text()
 
 
@@ -107,7 +107,7 @@ def test_photographs_go_along_only_where_asked_for_and_without_exif(tmp_path: Pa
     finally:
         for path, data in zip(pictures, kept, strict=True):
             (path / f"{name}.png").unlink() if data is None else (path / f"{name}.png").write_bytes(data)
-    assert not plain.pairs and asked.pairs[0][0] == name
+    assert not plain.pairs and asked.pairs[0][0] == "Weakest view" and name in asked.pairs[0][1]
     folder = written(tmp_path / "page", asked)
     data = (folder / "pictures" / "0_photograph.jpg").read_bytes()
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)

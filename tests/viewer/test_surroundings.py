@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_core.io.cleaning_file import cleaning_path
+from radiant_core.geometry.cleaning_file import cleaning_path
 from radiant_viewer.open3d_window.shown import load_shown
 from radiant_viewer.runs.run_layers import hidden_at_first, run_layers
 from radiant_viewer.runs.run_pictures import screenshot

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
+from radiant_core.export.geotiff import TiledRaster, cut_tiles, save_tiles
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.georef.crs import parse_crs
-from radiant_core.io.export.geotiff import TiledRaster, cut_tiles, save_tiles
 from radiant_core.io.measures_file import load_measures
 from radiant_core.survey.map_grid import MapGrid
 from radiant_viewer.layers.drawing import has_same_structure

@@ -109,8 +109,9 @@ def see_from_above(user: User, out: Path) -> dict[str, Any]:
 def measure_distance(user: User, out: Path) -> dict[str, Any]:
     """A key and two clicks in the 3D view; when the figure stands there."""
     window = user.window
-    assert window.model is not None
-    until(lambda: window.model.shown_is_full, "the model never came")
+    model = window.model
+    assert model is not None
+    until(lambda: model.shown_is_full, "the model never came")
     began = time.monotonic()
     user.press("M")
     for share in (0.42, 0.58):
@@ -123,8 +124,9 @@ def measure_distance(user: User, out: Path) -> dict[str, Any]:
 def leave_out_by_lasso(user: User, out: Path) -> dict[str, Any]:
     """A key, a drag and a key."""
     window, select = user.window, user.window.docks.cleaning.select
-    assert window.model is not None and select is not None
-    until(lambda: window.model.shown_is_full, "the model never came")
+    model = window.model
+    assert model is not None and select is not None
+    until(lambda: model.shown_is_full, "the model never came")
     before = window.view.screenshot().astype(int)
     user.press("L")
     view = window.view.plotter
@@ -133,7 +135,7 @@ def leave_out_by_lasso(user: User, out: Path) -> dict[str, Any]:
     user.drag(view, path, "around the middle")
     chosen, camera = select.tool.chosen, window.view.pose.camera(window.view.size_wh)
     user.press("Delete")
-    until(lambda: window.model.shown_is_full, "the model never came without them")
+    until(lambda: model.shown_is_full, "the model never came without them")
     after = window.view.screenshot().astype(int)
     session = window.docks.cleaning.session
     assert session is not None

@@ -16,7 +16,7 @@ from PySide6.QtGui import QKeySequence
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit, QTabBar, QWidget
 
-from radiant_app.commands.inspect import open_inspector
+from radiant_app.commands.inspect.window import open_inspector
 from radiant_core.plan.borders.borders import shared_borders
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.window.window import InspectorWindow

@@ -6,13 +6,15 @@ Every model is rendered at some cameras of every other, as a guest:
 
 The model with the largest share of contradicting neighbours is left out if that is most of them,
 then the rest is counted again. Models that contradict each other where no third covers the place
-both stay: nothing shows which is wrong. Attackers need about half of a model's neighbours.
+both stay and are named: nothing shows which is wrong. Attackers need about half of a model's
+neighbours.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -26,7 +28,7 @@ from radiant_core.splats import Splats
 MIN_AGREEMENT_DB = 10.0
 """Half grey against a photograph is about 14 dB; models: 16 to 22 (docs/threat_model.md)."""
 MIN_MODELS = 3
-"""Of two models that contradict each other it is undecidable which is wrong."""
+"""Of two models that contradict each other it is undecidable which is wrong: none is left out."""
 NUM_ASKED = 4
 """Cameras of each model at which the others are rendered."""
 LONG_SIDE_PX = 96
@@ -37,18 +39,19 @@ MIN_SHARE = 0.05
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Agreement:
-    """agreement_db (M,M) of guest i and host j, NaN where they share too little; reasons."""
+    """agreement_db (M,M) of guest i and host j, NaN where they share too little; reasons; and pairs
+    that contradict each other and both stay, with their agreement in dB."""
 
     agreement_db: FloatArray
     refused: dict[int, str]
+    ties: dict[tuple[int, int], float]
 
 
 def find_contradictions(models: Sequence[Splats], cameras: Sequence[Cameras], backend: Backend = "auto") -> Agreement:
-    """Which of M models are not to be joined, one sentence each; none where M is under three."""
+    """Which of M models are not to be joined, one sentence each, none where M is under three; and
+    which contradict each other and stay."""
     if len(models) != len(cameras):
         raise BadInput(f"{len(cameras)} sets of cameras for {len(models)} models: give one each.")
-    if len(models) < MIN_MODELS:
-        return Agreement(agreement_db=np.full((len(models), len(models)), np.nan), refused={})
     agreement_db = np.full((len(models), len(models)), np.nan)
     for host, own in enumerate(cameras):
         asked = _sample_cameras(own)
@@ -58,7 +61,12 @@ def find_contradictions(models: Sequence[Splats], cameras: Sequence[Cameras], ba
         for guest in range(len(models)):
             if guest != host:
                 agreement_db[guest, host] = _agreement_db(home, list(render_views(models[guest], asked, backend)))
-    return Agreement(agreement_db=agreement_db, refused=_find_outvoted(agreement_db))
+    # Of a pair the worse direction counts, NaN where they share no place.
+    pairs = np.fmin(agreement_db, agreement_db.T)
+    refused = _find_outvoted(pairs)
+    stay = [model for model in range(len(models)) if model not in refused]
+    ties = {(one, other): float(pairs[one, other]) for one, other in combinations(stay, 2) if pairs[one, other] < MIN_AGREEMENT_DB}
+    return Agreement(agreement_db=agreement_db, refused=refused, ties=ties)
 
 
 def _sample_cameras(cameras: Cameras) -> Cameras:
@@ -76,14 +84,12 @@ def _agreement_db(home: Sequence, guest: Sequence) -> float:
     return float(-10 * np.log10(max(squares / (3 * num_shared), 1e-10)))
 
 
-def _find_outvoted(agreement_db: FloatArray) -> dict[int, str]:
-    """Models to leave out, from what pairs say of each other in both directions.
+def _find_outvoted(pairs: FloatArray) -> dict[int, str]:
+    """Models to leave out, from the agreement (M,M) of pairs in dB.
 
     In rounds the model with the largest share of contradicting neighbours, or all that are equal in
     that; only those that most of their neighbours outside of these contradict.
     """
-    # Of a pair the worse direction counts, NaN where they share no place.
-    pairs = np.fmin(agreement_db, agreement_db.T)
     neighbours, against = ~np.isnan(pairs), pairs < MIN_AGREEMENT_DB
     left, refused = np.ones(len(pairs), bool), dict[int, str]()
     while left.sum() >= MIN_MODELS:

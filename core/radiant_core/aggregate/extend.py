@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from shapely import Polygon, boundary, contains, distance, points, prepare
 
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import Join
 from radiant_core.aggregate.join import TOUCHED_SHARE, contested_shares, fade
 from radiant_core.aggregate.ownership import Ownership
 from radiant_core.aggregate.retrain import retrain
@@ -97,9 +97,7 @@ class Extended:
         return {name: count for name, count in vars(self).items() if name != "splats"}
 
 
-def extend_scene(
-    scene: Splats, addition: Teacher, region: NewRegion, train: TrainConfig, aggregate: AggregateConfig, options: FitOptions
-) -> Extended:
+def extend_scene(scene: Splats, addition: Teacher, region: NewRegion, train: TrainConfig, join: Join, options: FitOptions) -> Extended:
     """`scene` with the new model `addition` in `region`, both in one frame; only what lies within
     the margin is fitted.
 
@@ -121,8 +119,8 @@ def extend_scene(
     if views is None:
         joined = concatenate_splats(margin).select(np.concatenate(owns))
     else:
-        moving = fade(margin, _owners(owns), aggregate.foreign_opacity)
-        made = retrain(moving, views, train, aggregate, options, held=still)
+        moving = fade(margin, _owners(owns), join.foreign_opacity)
+        made = retrain(moving, views, train, join, options, held=still)
         joined = concatenate_splats([made.splats, moving.select(~made.reached & np.concatenate(owns))])
     return Extended(
         splats=concatenate_splats([still, joined]),

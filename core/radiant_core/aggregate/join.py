@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.balance import Balance, balance_teachers, exposure_balance
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import Join
 from radiant_core.aggregate.ownership import Ownership, find_owners
 from radiant_core.aggregate.retrain import retraining_config
 from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
@@ -98,7 +98,7 @@ class Joined:
 def join_models(
     teachers: Sequence[Teacher],
     train: TrainConfig,
-    aggregate: AggregateConfig,
+    join: Join,
     options: FitOptions,
     claims: Claims | None = None,
     num_tiles: int = 1,
@@ -106,24 +106,24 @@ def join_models(
     """Join the teachers' models by what each shows at its own cameras; `claims` say whose region a
     place lies in.
 
-    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single`.
+    A single model is its own teacher and comes back unchanged unless `join.retrain_single`.
     `num_tiles` are fitted one after another, except by `paper`. Raises BadInput without any model.
     """
     if not teachers:
         raise BadInput("no models to join: give at least one, with the cameras it is asked at.")
-    if len(teachers) == 1 and not aggregate.retrain_single:
+    if len(teachers) == 1 and not join.retrain_single:
         return Joined(trained=as_result(teachers[0].splats), num_given=len(teachers[0].splats))
-    if aggregate.preset == "paper":
-        return _retrain_as_in_the_paper(teachers, train, aggregate, options)
-    return _join(teachers, train, aggregate, options, claims, num_tiles)
+    if join.preset == "paper":
+        return _retrain_as_in_the_paper(teachers, train, join, options)
+    return _join(teachers, train, join, options, claims, num_tiles)
 
 
-def _retrain_as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions) -> Joined:
+def _retrain_as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, join: Join, options: FitOptions) -> Joined:
     views = teacher_views(teachers, train.long_side_px, options.backend, options.scratch)
-    if not aggregate.weight_by_alpha:
+    if not join.weight_by_alpha:
         views = replace(views, weights=None)
     merged = concatenate_splats([teacher.splats for teacher in teachers])
-    trained = fit_splats(merged, views, retraining_config(train, aggregate, merged, len(views)), options)
+    trained = fit_splats(merged, views, retraining_config(train, join, merged, len(views)), options)
     return Joined(trained=trained, num_given=len(merged), num_views=len(views), num_shown=len(views))
 
 
@@ -151,7 +151,7 @@ def _cut(teachers: Sequence[Teacher], owned: Sequence[Ownership]) -> Joined:
 def _join(
     teachers: Sequence[Teacher],
     train: TrainConfig,
-    aggregate: AggregateConfig,
+    join: Join,
     options: FitOptions,
     claims: Claims | None,
     num_tiles: int,
@@ -160,29 +160,29 @@ def _join(
     teachers = balance_teachers(teachers, balance)
     owned = _find_owners(teachers, claims)
     cut = replace(_cut(teachers, owned), balance=balance)
-    merged, owns, contested = _start(teachers, owned, aggregate)
+    merged, owns, contested = _start(teachers, owned, join)
     shares = [contested_shares(teacher.cameras, merged.means, contested) for teacher in teachers]
     shown = [own > TOUCHED_SHARE for own in shares]
     cut = replace(cut, num_shown=int(sum(rows.sum() for rows in shown)), contested_share=float(contested.mean()) if len(contested) else 0.0)
     if not cut.num_shown:
         return cut
-    if not aggregate.epochs_at_cloud:
+    if not join.num_epochs:
         # The cut is for the case that nobody refines it.
         return replace(cut, trained=as_result(merged), cut=cut.splats)
     asked = [
         replace(one, cameras=one.cameras.select(np.flatnonzero(rows))) for one, rows in zip(teachers, shown, strict=True) if rows.any()
     ]
     views = teacher_views(asked, train.long_side_px, options.backend, options.scratch)
-    if not aggregate.weight_by_alpha:
+    if not join.weight_by_alpha:
         views = replace(views, weights=None)
     compared = views.select(most_contested(np.concatenate([own[rows] for own, rows in zip(shares, shown, strict=True)])))
     cut = replace(cut, agreement_db=min(_psnr_db(cut.splats, compared, options.backend)))
-    if aggregate.agreement_db is not None and (cut.agreement_db or 0.0) >= aggregate.agreement_db:
+    if join.agreement_db is not None and (cut.agreement_db or 0.0) >= join.agreement_db:
         return cut
     # What the cut is made of is there: a copy would wait for the end of the training.
     figures = replace(cut, trained=as_result(merged.select(np.arange(0))))
     del cut
-    made = retrain_by_tiles(merged, views, train, aggregate, options, num_tiles)
+    made = retrain_by_tiles(merged, views, train, join, options, num_tiles)
     whole = concatenate_splats([made.splats, merged.select(~made.reached & owns)])
     joined = replace(figures, trained=replace(made.trained, splats=whole))
     cut_again = _cut(teachers, owned).splats
@@ -193,19 +193,17 @@ def _join(
     return replace(joined, trained=replace(made.trained, splats=cut_again), check=check)
 
 
-def _start(
-    teachers: Sequence[Teacher], owned: Sequence[Ownership], aggregate: AggregateConfig
-) -> tuple[Splats, NDArray[np.bool_], NDArray[np.bool_]]:
+def _start(teachers: Sequence[Teacher], owned: Sequence[Ownership], join: Join) -> tuple[Splats, NDArray[np.bool_], NDArray[np.bool_]]:
     """All models together (N), faded; which (N,) are in their own place, which are contested."""
-    models, owned = without_faint([teacher.splats for teacher in teachers], owned, aggregate)
+    models, owned = without_faint([teacher.splats for teacher in teachers], owned, join)
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
-    return fade(models, owned, aggregate.foreign_opacity), owns, np.concatenate([places.contested for places in owned])
+    return fade(models, owned, join.foreign_opacity), owns, np.concatenate([places.contested for places in owned])
 
 
-def without_faint(models: Sequence[Splats], owned: Sequence[Ownership], aggregate: AggregateConfig) -> tuple[list[Splats], list[Ownership]]:
-    """Models and owners without what `fade` would make fainter than `aggregate.faint_opacity`."""
+def without_faint(models: Sequence[Splats], owned: Sequence[Ownership], join: Join) -> tuple[list[Splats], list[Ownership]]:
+    """Models and owners without what `fade` would make fainter than `join.faint_opacity`."""
     kept = [
-        (places.owner == index) | (aggregate.foreign_opacity * model.opacities >= aggregate.faint_opacity)
+        (places.owner == index) | (join.foreign_opacity * model.opacities >= join.faint_opacity)
         for index, (model, places) in enumerate(zip(models, owned, strict=True))
     ]
     chosen = [model.select(rows) for model, rows in zip(models, kept, strict=True)]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import Join
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig, train_preset
@@ -47,7 +47,7 @@ def retrain(
     moving: Splats,
     views: TrainingViews,
     train: TrainConfig,
-    aggregate: AggregateConfig,
+    join: Join,
     options: FitOptions,
     held: Splats | None = None,
 ) -> Retrained:
@@ -63,19 +63,19 @@ def retrain(
         shown = held.select(reached_by(held, views.cameras))
         start = concatenate_splats([shown, start])
         steady = np.arange(len(start)) < len(shown)
-    config = retraining_config(train, aggregate, start, len(views))
+    config = retraining_config(train, join, start, len(views))
     result = fit_splats(start, views, config, replace(options, held=steady, steps=Steps(end=RATES_END)))
     fitted = result.splats if steady is None else result.splats.select(~steady)
     return Retrained(trained=replace(result, splats=without_dead(fitted)[0]), reached=reached)
 
 
-def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:
+def retraining_config(train: TrainConfig, join: Join, merged: Splats, num_views: int) -> TrainConfig:
     """A device's settings for the cloud's epochs over so many synthetic views: nothing is
     added or grown, and rates fall as joining has it, not as a device's. `paper`
     retrains at the rates of 3DGS, however its devices were trained."""
-    num_steps = aggregate.epochs_at_cloud * num_views
-    if aggregate.max_num_steps is not None:
-        num_steps = min(num_steps, aggregate.max_num_steps)
+    num_steps = join.num_epochs * num_views
+    if join.max_num_steps is not None:
+        num_steps = min(num_steps, join.max_num_steps)
     still = {
         "sh_degree_every": 0,
         "density": NoDensification(),
@@ -84,5 +84,5 @@ def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Sp
         "drop_gaussians": "none",
         "settle_epochs": None,
     }
-    rates = {name: getattr(train_preset("paper"), name) for name in RATES} if aggregate.preset == "paper" else {}
+    rates = {name: getattr(train_preset("paper"), name) for name in RATES} if join.preset == "paper" else {}
     return replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, **still, **rates)

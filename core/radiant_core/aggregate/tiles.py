@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import Join
 from radiant_core.aggregate.retrain import Retrained, retrain, retraining_config
 from radiant_core.cameras import Cameras
 from radiant_core.geometry.coverage import reached_by
@@ -87,14 +87,14 @@ def most_fitted(splats: Splats, cameras: Cameras, tiles: Sequence[Tile]) -> int:
 
 
 def retrain_by_tiles(
-    moving: Splats, views: TrainingViews, train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, num_tiles: int
+    moving: Splats, views: TrainingViews, train: TrainConfig, join: Join, options: FitOptions, num_tiles: int
 ) -> Retrained:
     """As `retrain`, tile after tile; an interrupted one begins anew. Nothing is reached where no
     view shows `MIN_SIDE_PX` of any tile."""
     if num_tiles == 1:
-        return retrain(moving, views, train, aggregate, options)
+        return retrain(moving, views, train, join, options)
     # The rates of centres are those of a training on all views.
-    limit = retraining_config(train, aggregate, moving, len(views)).max_extent_per_distance
+    limit = retraining_config(train, join, moving, len(views)).max_extent_per_distance
     extent = working_extent(views.cameras, moving.select(reached_by(moving, views.cameras)), limit)
     tiles = tiles_of(moving.means, views.cameras, num_tiles)
     parts, reached = [moving.select(tile.fitted) for tile in tiles], np.zeros(len(moving), bool)
@@ -109,7 +109,7 @@ def retrain_by_tiles(
         settings = replace(train, seed=train.seed + index)
         report = _report_after(len(results), len(tiles), options.report)
         own = replace(options, checkpoints=NoCheckpoints(), report=report, extent=extent)
-        made = retrain(parts[index], shown, settings, aggregate, own, held=around)
+        made = retrain(parts[index], shown, settings, join, own, held=around)
         reached[np.flatnonzero(tile.fitted)[made.reached]] = True
         parts[index] = concatenate_splats([made.splats, parts[index].select(~made.reached)])
         num_fitted[index] = len(made.splats)

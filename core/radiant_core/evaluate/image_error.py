@@ -34,7 +34,7 @@ MIN_SQUARED_ERROR = 1e-10
 more than 59 dB."""
 
 NO_LPIPS_REASON = "LPIPS needs trained network weights, which are not part of the package: it was not measured; give --lpips-weights."
-NO_FLIP_REASON = "FLIP was not measured: the extra `flip` is not installed; `radiant doctor` gives the command."
+NO_FLIP_REASON = "FLIP was not measured: the extra `flip` is not installed; `radiant machine check` gives the command."
 
 ImageFigure = Literal["psnr_db", "ssim", "psnr_cc_db", "ssim_cc", "flip", "lpips"]
 FIGURES: tuple[ImageFigure, ...] = get_args(ImageFigure)

@@ -5,6 +5,8 @@ held out:   what the set itself keeps in val/ (as Mill 19), else position 0, 8, 
 validation: position 0, 8, 16, … of what remains, from 8 photographs on; used for choices inside
             training, never to score.
 training:   the rest; a choice that was made by the validation part may then be trained on both.
+
+All faces of a panorama (`panoramas.frame_of`) are one photograph here.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
+from radiant_core.panoramas import frame_of
 
 
 def held_out_mask(names: Sequence[str], every: int = 8, first: int = 0) -> NDArray[np.bool_]:
@@ -52,7 +55,8 @@ def training_validation_mask(training_names: Sequence[str], every: int = 8) -> N
     `held_out_mask`.
     """
     mask = _every_nth(training_names, np.ones(len(training_names), bool), every)
-    return mask if len(training_names) >= every else np.zeros(len(training_names), bool)
+    num_frames = len({frame_of(name) for name in training_names})
+    return mask if num_frames >= every else np.zeros(len(training_names), bool)
 
 
 def _every_nth(names: Sequence[str], candidates: NDArray[np.bool_], every: int, first: int = 0) -> NDArray[np.bool_]:
@@ -60,7 +64,6 @@ def _every_nth(names: Sequence[str], candidates: NDArray[np.bool_], every: int, 
         raise BadInput(f"every {every}. photograph is to be held out, expected 2 or more: nothing would be left to train on.")
     if len(set(names)) != len(names):
         raise BadInput("a photograph's name comes twice, so that the split is not determined: give every one its own name.")
-    ordered = sorted((index for index in range(len(names)) if candidates[index]), key=names.__getitem__)
-    mask = np.zeros(len(names), bool)
-    mask[ordered[first::every]] = True
-    return mask
+    frames = [frame_of(name) for name in names]
+    chosen = set(sorted({frame for frame, is_candidate in zip(frames, candidates, strict=True) if is_candidate})[first::every])
+    return np.array([frame in chosen for frame in frames], bool) & candidates

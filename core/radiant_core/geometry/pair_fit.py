@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.numerics import FloatArray, check_array
-from radiant_core.sfm.world_frame.align import fit_sim3
 
 NUM_ITERATIONS = 30
 ROBUST_SIGMAS = 2.0

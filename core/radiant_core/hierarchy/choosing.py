@@ -65,7 +65,7 @@ class Choice:
             choice=f"the {self.version} scene is kept",
             figure=kept_db - self.mean_db[next_best],
             unit=f"dB over the {next_best} one",
-            reason=f"{figures} in {self.num_photographs} photographs that were in no training, {same}{without}",
+            reason=f"{figures} in {self.num_photographs} photographs that no training used, {same}{without}",
             changes_nothing=self.keeps_usual,
         )
 

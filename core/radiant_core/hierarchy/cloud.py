@@ -59,10 +59,10 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
     sites, weights = np.array(task.sites)[rows], np.array(task.weights)[rows]
     cut_for_memory = False
     if task.aggregate.cloud == "retrain":
-        if not task.aggregate.epochs_at_cloud and not _can_average(task, arrivals):
+        if not task.aggregate.at_cloud.num_epochs and not _can_average(task, arrivals):
             # Nobody is going to refine what would only fade.
-            task = replace(task, aggregate=replace(task.aggregate, num_epochs=None))
-        choice = _choose(task, arrivals, rows, reporter, machine) if task.aggregate.epochs_at_cloud else _FADES
+            task = replace(task, aggregate=replace(task.aggregate, cloud_epochs=None))
+        choice = _choose(task, arrivals, rows, reporter, machine) if task.aggregate.at_cloud.num_epochs else _FADES
         cut_for_memory = choice.cut_for_memory
         if choice.retrains or task.aggregate.preset != "paper":
             options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
@@ -90,7 +90,7 @@ def _extend(
     region = NewRegion(polygon=np.array(extension.polygon), margin_m=extension.margin_m)
     addition = Teacher(splats=new.splats, cameras=new.cameras)
     options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
-    extended = extend_scene(standing.splats, addition, region, task.train, task.aggregate, options)
+    extended = extend_scene(standing.splats, addition, region, task.train, task.aggregate.at_cloud, options)
     return SceneModel(splats=extended.splats, summary={"num_splats": len(extended.splats), **extended.counts()})
 
 
@@ -147,7 +147,7 @@ def _join(
     if not choice.retrains:
         return cut_at_borders(teachers, claims)
     options = replace(options, statistics_bytes=choice.memory.statistics_bytes)
-    joined = join_models(teachers, task.train, task.aggregate, options, claims, choice.memory.num_tiles)
-    for decision in join_decisions(reporter.stage, task.aggregate, len(teachers), joined):
+    joined = join_models(teachers, task.train, task.aggregate.at_cloud, options, claims, choice.memory.num_tiles)
+    for decision in join_decisions(reporter.stage, task.aggregate.at_cloud, len(teachers), joined):
         reporter.decide(decision)
     return joined

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from radiant_core.aggregate.balance import Balance
-    from radiant_core.aggregate.config import AggregateConfig
+    from radiant_core.aggregate.config import Join
     from radiant_core.aggregate.join import Check, Joined
     from radiant_core.hierarchy.recipe import Recipe
     from radiant_core.splats import Splats
@@ -33,7 +33,7 @@ def step_decision(recipe: Recipe) -> Decision | None:
         choice=f"{min(steps):,} to {max(steps):,} steps, {sum(steps):,} in all",
         figure=law.per_photograph,
         unit="steps per photograph",
-        reason=f"a device's time follows its photographs, as the plan has it; {law.num_steps:,} steps is the mean of the system's devices",
+        reason=f"a device's time is proportional to its photographs, as planned; {law.num_steps:,} steps is the mean of all devices",
         changes_nothing=len(set(steps)) == 1,
     )
 
@@ -48,12 +48,12 @@ def joining_decision(recipe: Recipe) -> Decision | None:
     return Decision(
         stage="edges",
         topic="epochs of joining",
-        choice=f"{joining.epochs_at_edges} at edges, {joining.epochs_at_cloud} at the cloud",
+        choice=f"{joining.at_edge.num_epochs} at edges, {joining.at_cloud.num_epochs} at the cloud",
         figure=trainings.photograph_shows,
         unit=f"times a training of {trainings.num_steps:,.0f} steps shows each photograph",
-        reason=case.reason if asked.num_epochs is None or asked.edge_epochs is None else "asked for",
+        reason=case.reason if asked.cloud_epochs is None or asked.edge_epochs is None else "asked for",
         row=case.row,
-        forced=asked.num_epochs is not None or asked.edge_epochs is not None,
+        forced=asked.cloud_epochs is not None or asked.edge_epochs is not None,
     )
 
 
@@ -143,7 +143,7 @@ def refinement_decision(stage: str, counts: Sequence[int], scene: Splats) -> Dec
         choice=f"the scene is refined by the photographs below {len(counts)} edges",
         figure=float(num_refined),
         unit=f"refined Gaussians arrived, of {len(scene):,}",
-        reason="joining shows models only pictures of models; devices show it their photographs",
+        reason="joining fits models to renders of models only; refining fits the scene to the devices' photographs",
         changes_nothing=not num_refined,
     )
 
@@ -163,17 +163,17 @@ def check_decision(stage: str, check: Check) -> Decision:
     )
 
 
-def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, joined: Joined) -> list[Decision]:
+def join_decisions(stage: str, join: Join, num_models: int, joined: Joined) -> list[Decision]:
     """What was retrained of the joined models and what was skipped, with the deciding figures."""
 
     def decided(choice: str, figure: float, unit: str, reason: str) -> Decision:
-        forced = aggregate.preset == "paper"
+        forced = join.preset == "paper"
         return Decision(stage=stage, topic="retraining", choice=choice, figure=figure, unit=unit, reason=reason, forced=forced)
 
     steps = joined.trained.num_steps
     if num_models == 1 and not steps:
         return [decided("skipped", 1.0, "models", "a single model would only learn from its own pictures")]
-    if aggregate.preset == "paper":
+    if join.preset == "paper":
         return [decided(f"{steps:,} steps on all Gaussians and whole pictures", float(steps), "steps", BY_PRESET)]
     exposures = [] if joined.balance is None else [exposures_decision(stage, joined.balance)]
     checks = [] if joined.check is None else [check_decision(stage, joined.check)]
@@ -184,16 +184,16 @@ def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, join
     if not joined.num_shown:
         reason = "no view shows enough that a second model knows: models are cut at their borders"
         return [*exposures, decided("skipped", 0.0, "% contested", reason)]
-    if not steps and (joined.agreement_db or 0.0) < (aggregate.agreement_db or float("inf")):
+    if not steps and (joined.agreement_db or 0.0) < (join.agreement_db or float("inf")):
         reason = "no view shows enough of any tile: models are cut at their borders"
         return [*exposures, decided("skipped", joined.agreement_db or 0.0, "dB", reason)]
     if not steps:
-        reason = f"models that agree to {aggregate.agreement_db:g} dB have no seam that could be seen: they are cut at their borders"
+        reason = f"models that agree to {join.agreement_db:g} dB have no seam that could be seen: they are cut at their borders"
         return [*exposures, decided("skipped", joined.agreement_db or 0.0, "dB", reason)]
     shown = f"{joined.num_shown} of {joined.num_views} views"
     share = 100 * joined.contested_share
     left = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
-    reason = "only what a second model knows too can be joined better"
+    reason = "joining improves only places that two models show"
     return [*exposures, decided(f"{steps:,} steps on {shown}; {left}", share, "% contested", reason), *checks]
 
 
@@ -203,7 +203,7 @@ def exposures_decision(stage: str, balance: Balance) -> Decision:
     if not balance.num_pairs:
         reason = "no two models show the same place"
     else:
-        reason = f"{'more' if balance.is_needed else 'no more'} than models of one exposure differ by"
+        reason = f"{'more' if balance.is_needed else 'no more'} than models of one exposure differ"
     unit = "of 255 from the mean of all models, at mid grey"
     unchanged = not balance.is_needed
     topic = "exposures of the models"

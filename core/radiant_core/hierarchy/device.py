@@ -32,6 +32,7 @@ from radiant_core.train.dense.seeding import seed_densely
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.extent import extent_decision
 from radiant_core.train.few import Trial, choose_for_few, score_apart
+from radiant_core.train.fill_in import NO_POINTS, AddedPoints, fill_in_points
 from radiant_core.train.gates import choose_helpers, open_gates
 from radiant_core.train.initialize import first_splats, sky_share
 from radiant_core.train.memory import memory_plan, within_memory, within_vram
@@ -119,7 +120,8 @@ def prepare_training(
     views, lights, decisions = canonical_views(scene, views, config.light)
     _decide(reporter, decisions)
     trials = _Trials(task=task, scene=scene, views=views, reporter=reporter, machine=machine, statistics_bytes=statistics_bytes)
-    helpers = choose_helpers(*open_gates(config, scene, views), views, trials.score)
+    filled = fill_in_points(scene, views) if config.fill_in else NO_POINTS
+    helpers = choose_helpers(*open_gates(config, filled, views), views, trials.score)
     choice = choose_for_few(helpers.config, views, trials.score)
     config, heard, num_trials = choice.config, reporter, helpers.num_trials + choice.num_trials
     _decide(reporter, (*helpers.decisions, *choice.decisions))
@@ -134,7 +136,7 @@ def prepare_training(
     reporter.decide(sky_decision(reporter.stage, sky_share(views.cameras), wanted=config.sky))
     config, dense, decisions = seed_densely(config, scene, views)
     _decide(reporter, decisions)
-    initial, num_filled = first_splats(scene, views, config, dense)
+    initial, num_filled = first_splats(scene, views, config, dense, filled)
     if config.fill_in or not helpers.decisions:
         filled = fill_decision(reporter.stage, num_filled, len(scene.points), wanted=bool(config.fill_in))
         reporter.decide(replace(filled, row="", otherwise="") if helpers.decisions else filled)
@@ -147,12 +149,13 @@ def prepare_training(
 
 def choose_for_share(
     task: DeviceTask, scene: SfmScene, views: TrainingViews, reporter: Reporter, machine: Machine, statistics_bytes: int
-) -> tuple[TrainConfig, Sequence[Decision]]:
+) -> tuple[TrainConfig, AddedPoints, Sequence[Decision]]:
     """The settings of the task with each helper of its own photographs on or off, by trials on
-    these, which are in one light and worth training."""
+    these, which are in one light and worth training; and the points that are filled in."""
     trials = _Trials(task=task, scene=scene, views=views, reporter=reporter, machine=machine, statistics_bytes=statistics_bytes)
-    choice = choose_helpers(*open_gates(task.train, scene, views), views, trials.score)
-    return choice.config, choice.decisions
+    filled = fill_in_points(scene, views) if task.train.fill_in else NO_POINTS
+    choice = choose_helpers(*open_gates(task.train, filled, views), views, trials.score)
+    return choice.config, filled if choice.config.fill_in else NO_POINTS, choice.decisions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -94,7 +94,7 @@ def _join(
             return cut_at_borders(teachers, claims), False
         num_tiles, options = memory.num_tiles, replace(options, statistics_bytes=memory.statistics_bytes)
     joined = join_models(teachers, task.train, task.aggregate.at_edge, options, claims, num_tiles)
-    for decision in join_decisions(reporter.stage, task.aggregate, len(teachers), joined):
+    for decision in join_decisions(reporter.stage, task.aggregate.at_edge, len(teachers), joined):
         reporter.decide(decision)
     return joined, True
 

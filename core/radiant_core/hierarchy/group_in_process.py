@@ -72,6 +72,8 @@ def train_group(
     members = GroupMembers(holders=holders, edges=plan.views, has_relays=plan.has_relays)
     options = fit_options(recipe.backend, reporter, machine, lambda: "")
     result, cost = fit_in_process(start.initial, start.group, members, start.camera_centers, options, time.process_time)
+    for warning in cost.warnings:
+        reporter.warn(warning)
     report_result(start.group.config, start.initial, result, reporter)
     return GroupRun(plan=plan, starts=starts, start=start, result=result, cost=cost, before_s=before_s)
 

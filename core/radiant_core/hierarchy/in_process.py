@@ -22,6 +22,7 @@ from radiant_core.evaluate.shown_pixels import count_shown_photographs
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.choosing import Choice, choose_version, in_order
 from radiant_core.hierarchy.cloud import join_cloud
+from radiant_core.hierarchy.codec import passed_on, passed_refinement
 from radiant_core.hierarchy.decisions import refinement_decision
 from radiant_core.hierarchy.device import train_device
 from radiant_core.hierarchy.edge import join_edge
@@ -33,7 +34,6 @@ from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.refine import refine_device
 from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
-from radiant_core.io.messages import passed_on, passed_refinement
 from radiant_core.plan.plans import EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats

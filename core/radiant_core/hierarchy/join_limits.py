@@ -16,7 +16,7 @@ CUT_AT_CLOUD_COSTS = "On four sets edges' models that were only cut came out 0.4
 UNREFINED_CUT_COSTS = "On four sets it came out 0.6 to 1.2 dB below the refined scene (docs/benchmarks.md)."
 UNREFINED_COSTS = "On four sets refining gained 0.1 to 0.6 dB over the joined scene (docs/benchmarks.md)."
 TILES_COST = "Tiles take longer; on two scenes they came out up to 0.18 dB lower, and within 0.03 dB where devices refine what is joined."
-JOIN_AGAIN = "`radiant aggregate RUN --out JOINED.ply` joins the models that lie in a run without a limit, and refines nothing"
+JOIN_AGAIN = "`radiant join RUN --out JOINED.ply` joins the models that lie in a run without a limit, and refines nothing"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,16 +14,16 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from radiant_core import __version__
-from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, find_contradictions
+from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, MIN_MODELS, find_contradictions
 from radiant_core.aggregate.arrival import check_splats
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame, refine_frames
 from radiant_core.geometry.similarity import move_cameras, move_splats
+from radiant_core.hierarchy.codec import task_key
 from radiant_core.hierarchy.messages import CloudTask, DeviceModel, EdgeModel, EdgeTask
 from radiant_core.hierarchy.reporter import Reporter
-from radiant_core.io.messages import task_key
 from radiant_core.io.run_store import content_key
 from radiant_core.render.contract import Backend
 from radiant_core.splats import Splats
@@ -163,9 +163,16 @@ def _move_models(
 
 
 def _leave_out_contradicted(arrivals: Arrivals, reporter: Reporter, backend: Backend) -> Arrivals:
-    """The arrivals without models that most of their neighbours contradict."""
+    """The arrivals without models that most of their neighbours contradict; a warning names two
+    that contradict each other and stay."""
     found = find_contradictions(arrivals.models, arrivals.cameras, backend)
-    if not np.isfinite(found.agreement_db).any():
+    for (one, other), agreement_db in found.ties.items():
+        reporter.warn(
+            f"the models of {arrivals.senders[one]} and {arrivals.senders[other]} contradict each other: {agreement_db:.1f} dB where both "
+            f"show the same places, {MIN_AGREEMENT_DB:g} expected. Nothing shows which is wrong, and both are joined: look at the "
+            "photographs of both, or add a third that shows these places."
+        )
+    if len(arrivals.models) < MIN_MODELS or not np.isfinite(found.agreement_db).any():
         return arrivals
     refused = {arrivals.senders[index]: reason for index, reason in found.refused.items()}
     for name, reason in refused.items():

@@ -6,7 +6,7 @@ per node.
     CloudTask, EdgeModels    ── join_cloud ────→  SceneModel
     RefineTask, photographs  ── refine_device ─→  Refinement (`aggregate/averaging.py`)
 
-`radiant_core.io.messages` writes and reads them. A field that is `UNKEYED` changes no bit of a
+`radiant_core.hierarchy.codec` writes and reads them. A field that is `UNKEYED` changes no bit of a
 node's result and stands in no key; one that is `in_file` travels as a file of that name beside the
 JSON; one that is `LOCAL` does not travel.
 """

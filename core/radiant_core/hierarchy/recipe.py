@@ -206,6 +206,6 @@ class Recipe:
         """Seconds that the edge's retraining would take in the cloud's epochs; by its cost curve
         where it did none or its devices trained one model."""
         if summary["num_steps"] and f"edges/{edge}" not in self.groups:
-            return float(summary["train_s"]) * self.joining.epochs_at_cloud / self.joining.epochs_at_edges
+            return float(summary["train_s"]) * self.joining.at_cloud.num_epochs / self.joining.at_edge.num_epochs
         row = self.cloud_plan.edge_ids.index(edge)
         return float(self.system.edges[row].aggregate_s(int(self.cloud_plan.counts[row])))

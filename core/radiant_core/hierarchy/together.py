@@ -36,12 +36,13 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import TENSORS, Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.extent import extent_decision, working_extent
-from radiant_core.train.fill_in import NO_POINTS, AddedPoints, fill_in_points
+from radiant_core.train.fill_in import AddedPoints
 from radiant_core.train.initialize import initial_gaussians, room_to_fill, sky_rgb_of, sky_share
 from radiant_core.train.memory import memory_plan
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from radiant_core.train.needs import fit_to_cameras
 from radiant_core.train.results import TrainState
+from radiant_core.train.shapes import with_needle_width
 from radiant_core.train.together.gradients import Layout
 from radiant_core.train.together.masking import MaskKeys
 from radiant_core.train.together.replica import Group, Replica, Share, require_shareable
@@ -150,9 +151,8 @@ def prepare_share(task: DeviceTask, views: TrainingViews, reporter: Reporter, ma
     _decide(reporter, decisions)
     lit, lights, decisions = canonical_views(scene, views, config.light)
     _decide(reporter, decisions)
-    config, decisions = choose_for_share(replace(task, train=config), scene, lit, reporter, machine, statistics_bytes)
+    _, filled, decisions = choose_for_share(replace(task, train=config), scene, lit, reporter, machine, statistics_bytes)
     _decide(reporter, decisions)
-    filled = fill_in_points(scene, lit) if config.fill_in else NO_POINTS
     start = ShareStart(
         cameras=number_cameras(lit.cameras, reporter.stage),
         points=np.concatenate([scene.points, filled.points]),
@@ -183,7 +183,7 @@ def begin_group(starts: Mapping[str, ShareStart], plan: GroupTraining, train: Tr
     sent = [starts[name] for name in names]
     cameras = concatenate_cameras([number_cameras(each.cameras, name) for name, each in zip(names, sent, strict=True)])
     config = replace(train, num_steps=plan.num_steps, max_epochs=None, max_num_splats=_most_splats(train, sent), cross_validate="none")
-    config, decisions = fit_to_cameras(config, cameras)
+    config, decisions = fit_to_cameras(with_needle_width(config, cameras), cameras)
     _decide(reporter, decisions)
     reporter.decide(sky_decision(reporter.stage, sky_share(cameras), wanted=config.sky))
     initial = _first_gaussians(sent, cameras, config)

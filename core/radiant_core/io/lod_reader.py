@@ -1,6 +1,6 @@
 """`lod-meta.json` of strangers, checked to the last leaf. Once per file.
 
-The format is described in `io.export.lod`, which writes it.
+The format is described in `export.lod`, which writes it.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ per command.
     begins with      is
     ply              PLY (`io.ply`), 3DGS's layout or PlayCanvas's compressed one
     PK               .sog, a zip (`io.sog_reader`)
-    1f 8b            SPZ of version 2 or 3, gzip (`io.spz`)
+    1f 8b            SPZ of version 1, 2 or 3, gzip (`io.spz`)
     NGSP             SPZ of version 4 (`io.open3d_formats`)
     {                meta.json of a SOG, or lod-meta.json of levels of detail, by its keys
     8 bytes, {       safetensors of `radiant train` or a run (`io.transport.upload`)

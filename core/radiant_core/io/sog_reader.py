@@ -1,6 +1,6 @@
 """SOG files of strangers as models, one strict reader for the zip and the folder. Once per file.
 
-The format is described in `io.export.sog`, which writes it. The count is held against the bytes of
+The format is described in `export.sog`, which writes it. The count is held against the bytes of
 the file, what a zip says of its members against the count, and a texture's size against it before
 it is decoded, so that a short file cannot ask for much memory.
 """

@@ -1,12 +1,12 @@
-"""Gaussians as SPZ of versions 2 and 3, the gzip forms that readers of 2024 and 2025 know. Once per
-file or tile.
+"""Gaussians as SPZ of versions 2 and 3, the gzip forms that readers of 2024 and 2025 know; version
+1 is read. Once per file or tile.
 
 gzip of a header of 16 bytes, then, each for all N Gaussians:
-    means      3 × 24 bits of round(m · 2^b), b the header's fraction bits
+    means      3 × 24 bits of round(m · 2^b), b the header's fraction bits; version 1: 3 halves
     opacities  1 byte of 255 steps
     sh0        3 bytes, round(255 (0.15 c + ½)): ±3.33 in steps of 0.026
     scales     3 bytes, round(16 (ln s + 10)): ln s from −10 to 5.9375
-    rotations  version 2: 3 bytes, x y z in steps of 1/127.5 with w = √(1 − x² − y² − z²) ≥ 0
+    rotations  versions 1, 2: 3 bytes, x y z in steps of 1/127.5 with w = √(1 − x² − y² − z²) ≥ 0
                version 3: the largest component's number in 2 bits, the others in 10 each
     shN        3 (K − 1) bytes, 128 + 4 round(32 c): ±1 in steps of 1/32
 Version 4 is Open3D's (`io.open3d_formats`). Source: Niantic's `load-spz.cc`.
@@ -87,7 +87,7 @@ def fraction_bits_for(splats: Splats) -> int:
 
 
 def splats_from_gzip_spz(data: bytes) -> Splats:
-    """The model in an SPZ of version 2 or 3, or BadInput that says what is wrong with it."""
+    """The model in an SPZ of version 1, 2 or 3, or BadInput that says what is wrong with it."""
     return checked(gaussians_of_gzip_spz(data))
 
 
@@ -103,18 +103,16 @@ def gaussians_of_gzip_spz(data: bytes) -> StoredGaussians:
         most = size + (MAX_EXTENSION_BYTES if flags & _EXTENDED else 0)
         body = unpacker.decompress(unpacker.unconsumed_tail, most + 1)
     except (zlib.error, struct.error) as error:
-        raise BadInput("it is no SPZ of version 2 or 3: its gzip stream is broken or ends early") from error
+        raise BadInput("it is no SPZ of version 1, 2 or 3: its gzip stream is broken or ends early") from error
     if not size <= len(body) <= most or not unpacker.eof or unpacker.unused_data:
         raise BadInput(f"its SPZ is not as long as {count} Gaussians of degree {degree} are")
     rows = np.frombuffer(body, np.uint8, size)
-    widths = np.cumsum([9, 1, 3, 3, 3 if version == 2 else 4])
+    widths = np.cumsum([6 if version == 1 else 9, 1, 3, 3, 4 if version == 3 else 3])
     means, opacities, colors, scales, rotations, rest = np.split(rows, widths * count)
-    fixed = np.zeros((3 * count, 4), np.uint8)
-    fixed[:, 1:] = means.reshape(-1, 3)
-    quats = (_from_first_three if version == 2 else _from_smallest_three)(rotations.reshape(count, -1))
+    quats = (_from_smallest_three if version == 3 else _from_first_three)(rotations.reshape(count, -1))
     opacity = np.clip(opacities / 255.0, END_OPACITY, 1 - END_OPACITY)
     return StoredGaussians(
-        means=np.asarray((fixed.view("<i4") >> 8).reshape(count, 3) / 2.0**fraction_bits, np.float32),
+        means=_from_halves(means) if version == 1 else _from_fixed(means, fraction_bits),
         quats=quats.astype(np.float32),
         log_scales=np.asarray(scales.reshape(count, 3) / 16.0 - 10, np.float32),
         logit_opacities=np.log(opacity) - np.log1p(-opacity),
@@ -124,13 +122,23 @@ def gaussians_of_gzip_spz(data: bytes) -> StoredGaussians:
     )
 
 
+def _from_halves(stored: NDArray[np.uint8]) -> NDArray[np.float32]:
+    return np.asarray(stored.view("<f2").reshape(-1, 3), np.float32)
+
+
+def _from_fixed(stored: NDArray[np.uint8], fraction_bits: int) -> NDArray[np.float32]:
+    fixed = np.zeros((len(stored) // 3, 4), np.uint8)
+    fixed[:, 1:] = stored.reshape(-1, 3)
+    return np.asarray((fixed.view("<i4") >> 8).reshape(-1, 3) / 2.0**fraction_bits, np.float32)
+
+
 def _size(magic: bytes, version: int, count: int, degree: int, fraction_bits: int) -> int:
     """Bytes after the header, which is checked."""
-    if magic != _MAGIC or version not in (2, 3):
-        raise BadInput("it is no SPZ of version 2 or 3")
+    if magic != _MAGIC or version not in (1, 2, 3):
+        raise BadInput("it is no SPZ of version 1, 2 or 3")
     if not 0 < count <= MAX_SPZ_GAUSSIANS or degree > MAX_SPZ_DEGREE or fraction_bits > MAX_FRACTION_BITS:
         raise BadInput(f"its SPZ says {count} Gaussians of degree {degree} with {fraction_bits} fraction bits")
-    return count * (16 + (3 if version == 2 else 4) + 3 * ((degree + 1) ** 2 - 1))
+    return count * ((13 if version == 1 else 16) + (4 if version == 3 else 3) + 3 * ((degree + 1) ** 2 - 1))
 
 
 def _bytes_of(values: NDArray[np.floating]) -> NDArray[np.uint8]:

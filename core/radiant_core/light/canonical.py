@@ -18,7 +18,7 @@ from radiant_core.decisions import Decision
 from radiant_core.light.captures import Captures, complete_captures, shots_of
 from radiant_core.light.lights import Lights, in_canonical_light
 from radiant_core.light.predict import Prediction, predict_lights
-from radiant_core.light.solve import NUM_PLACES, lights_from_model, lights_from_tracks
+from radiant_core.light.solve import NUM_PLACES, lights_from_model, lights_from_tracks, lights_if_they_differ
 from radiant_core.regimes import LIGHT_EVENNESS
 from radiant_core.render.contract import Backend
 from radiant_core.scene import SfmScene
@@ -48,7 +48,7 @@ def canonical_views(scene: SfmScene, views: TrainingViews, mode: LightMode) -> t
     where it hardly differs. `views.cameras` are the scene's in the same order."""
     if mode == "none":
         return views, None, ()
-    lights = lights_from_tracks(scene, views)
+    lights = lights_from_tracks(scene, views) if mode == "always" else lights_if_they_differ(scene, views)
     decision = light_decision(lights, mode)
     return (in_canonical_light(views, lights), lights, (decision,)) if _is_wanted(lights, mode) else (views, None, (decision,))
 
@@ -87,7 +87,7 @@ def canonical_validation(lights: Lights, scene: SfmScene, validation: TrainingVi
     names = (*scene.cameras.names, *validation.cameras.names)
     captures = complete_captures({}, names)
     shots, targets = (shots_of(cameras, captures) for cameras in (scene.cameras, validation.cameras))
-    places = [scene.points[scene.observations[scene.observations[:, 1] == view, 0]][:NUM_PLACES] for view in range(len(scene.cameras))]
+    places = [scene.points[seen[:NUM_PLACES]] for seen in scene.points_of_cameras()]
     return in_canonical_light(validation, predict_lights(lights, shots, places, targets).lights)
 
 

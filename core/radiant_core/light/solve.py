@@ -25,6 +25,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.light.evenness import evenness, parts_of
 from radiant_core.light.lights import NUM_TERMS, Lights, cameras_alike, squared_radii
 from radiant_core.numerics import FloatArray
+from radiant_core.regimes import LIGHT_EVENNESS, LIGHT_SPREAD
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
@@ -36,6 +37,9 @@ DARKEST, BRIGHTEST = 8.0, 247.0
 MIN_SHARED = 20
 """A photograph with fewer observations is not known."""
 NUM_ROUNDS = 10
+SOME, SOME_ROUNDS, MARGIN = 100, 4, 0.75
+"""Observations of each photograph, and rounds, by which it is asked whether light differs at all:
+their gains have errors of 0.5 %. It does not where figures are below this share of the limits."""
 WIDTH = 2.0
 """Of Cauchy's weights, in standard deviations by the median."""
 FIRST_SCALE, LEAST_SCALE = 0.05, 1e-6
@@ -64,6 +68,31 @@ class Observations:
 def lights_from_tracks(scene: SfmScene, views: TrainingViews) -> Lights:
     """The light of V photographs by what they show at the scene's points; `views.cameras` are the
     scene's in the same order."""
+    return solve_lights(observe_tracks(scene, views), views.cameras)
+
+
+def lights_if_they_differ(scene: SfmScene, views: TrainingViews) -> Lights:
+    """The same, of some of the points alone where these already say that light does not differ, or
+    not by gains that explain whole pictures."""
+    observed = observe_tracks(scene, views)
+    rows = _of_some_places(observed, len(views))
+    if 2 * len(rows) < len(observed.view):
+        assert observed.place is not None and observed.part is not None
+        some = Observations(
+            view=observed.view[rows],
+            squared_radii=observed.squared_radii[rows],
+            logs=observed.logs[rows],
+            place=observed.place[rows],
+        )
+        lights = solve_lights(some, views.cameras, SOME_ROUNDS)
+        lights = replace(lights, evenness=_evenness(observed, lights))
+        if lights.spread < MARGIN * LIGHT_SPREAD or lights.evenness < MARGIN * LIGHT_EVENNESS:
+            return lights
+    return solve_lights(observed, views.cameras)
+
+
+def observe_tracks(scene: SfmScene, views: TrainingViews) -> Observations:
+    """What V photographs show at the scene's points, smoothed."""
     rows, pixels = views.observed_pixels(scene)
     place, view = scene.observations[rows].T
     colors = np.empty((len(rows), 3))
@@ -77,7 +106,21 @@ def lights_from_tracks(scene: SfmScene, views: TrainingViews) -> Lights:
     sizes = cameras.sizes_wh[view].astype(np.float64)
     squared = 4 * ((pixels + 0.5 - cameras.Ks[view, :2, 2]) ** 2).sum(axis=1) / (sizes**2).sum(axis=1)
     part = parts_of(pixels, cameras.sizes_wh[view])
-    return solve_lights(Observations(view=view, squared_radii=squared, logs=log_of_colors(colors), place=place, part=part), cameras)
+    return Observations(view=view, squared_radii=squared, logs=log_of_colors(colors), place=place, part=part)
+
+
+def _of_some_places(observed: Observations, count: int) -> NDArray[np.int64]:
+    """The observations of places drawn evenly at random, of which each of so many photographs
+    shows `SOME`, or all that it has."""
+    assert observed.place is not None
+    turn = np.random.default_rng(0).permutation(int(observed.place.max(initial=-1)) + 1)
+    in_turn = np.lexsort((turn[observed.place], observed.view))
+    first = np.cumsum(np.bincount(observed.view, minlength=count)) - np.bincount(observed.view, minlength=count)
+    early = np.empty(len(in_turn), bool)
+    early[in_turn] = np.arange(len(in_turn)) - first[observed.view[in_turn]] < SOME
+    chosen = np.zeros(len(turn), bool)
+    chosen[observed.place[early]] = True
+    return np.flatnonzero(chosen[observed.place])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,7 +164,7 @@ def _places(cameras: Cameras, index: int, depth: NDArray[np.float32], rows: NDAr
     return (rays * depth.ravel()[rows, None] - pose[:3, 3]) @ pose[:3, :3]
 
 
-def solve_lights(observed: Observations, cameras: Cameras) -> Lights:
+def solve_lights(observed: Observations, cameras: Cameras, num_rounds: int = NUM_ROUNDS) -> Lights:
     """The lights of V photographs, those of `cameras`, by T observations; photographs that cannot
     be known get gain 1."""
     camera_of, num_cameras = cameras_alike(cameras)
@@ -134,16 +177,17 @@ def solve_lights(observed: Observations, cameras: Cameras) -> Lights:
         known &= enough
         if not len(rows):
             continue
-        solution = _solve_channel(observed, rows, channel, camera_of, num_cameras)
+        solution = _solve_channel(observed, rows, channel, camera_of, num_cameras, num_rounds)
         log_gains[:, channel] = np.where(enough, solution[:count], 0.0)
         vignettings[:, :, channel] = solution[count:].reshape(num_cameras, NUM_TERMS)
     log_gains[~known] = 0.0
     lights = Lights(log_gains=log_gains, camera_of=camera_of, vignettings=vignettings, known=known)
-    return (
-        lights
-        if observed.part is None
-        else replace(lights, evenness=evenness(lights.spread, _left(observed, lights), observed.view, observed.part))
-    )
+    return lights if observed.part is None else replace(lights, evenness=_evenness(observed, lights))
+
+
+def _evenness(observed: Observations, lights: Lights) -> float:
+    assert observed.part is not None
+    return evenness(lights.spread, _left(observed, lights), observed.view, observed.part)
 
 
 def _left(observed: Observations, lights: Lights) -> FloatArray:
@@ -187,7 +231,7 @@ def _usable(observed: Observations, channel: int, count: int) -> NDArray[np.int6
 
 
 def _solve_channel(
-    observed: Observations, rows: NDArray[np.int64], channel: int, camera_of: NDArray[np.int64], num_cameras: int
+    observed: Observations, rows: NDArray[np.int64], channel: int, camera_of: NDArray[np.int64], num_cameras: int, num_rounds: int
 ) -> FloatArray:
     """Log gains, then the terms of each camera, (V + 3 K,) of one channel."""
     count, of_places = len(camera_of), observed.place is not None
@@ -199,7 +243,7 @@ def _solve_channel(
         equations = _Brightness(design=_design(view, squared, camera_of, num_cameras), place=place, logs=logs)
     prior = sparse.diags(np.repeat([GAIN_SPREAD**-2.0, TERM_SPREAD**-2.0], [count, num_cameras * NUM_TERMS]))
     weights, solution, scale = np.ones(len(rows)), np.zeros(count + NUM_TERMS * num_cameras), FIRST_SCALE
-    for _ in range(NUM_ROUNDS):
+    for _ in range(num_rounds):
         normal, right = equations.normal(weights)
         solution = np.asarray(spsolve((normal + scale**2 * prior).tocsc(), right), np.float64)
         residuals = equations.residuals(solution, weights)

@@ -10,7 +10,6 @@
 #include <vector>
 
 #include "dense/bind.h"
-#include "field/bind.h"
 #include "matching/bind.h"
 #include "plan/bind.h"
 #include "plan/power_cells.h"
@@ -99,7 +98,6 @@ NB_MODULE(_native, module) {
   nb::set_leak_warnings(false);
   radiant::bind_raster(module);
   bind_dense(module);
-  bind_field(module);
   bind_matching(module);
   bind_plan(module);
   bind_training(module);

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from radiant_core.decisions import Decision
 from radiant_core.io.photos.listing import Photograph
+from radiant_core.panoramas import has_faces
 from radiant_core.sfm.colmap.database import extract_features, match_pairs
 from radiant_core.sfm.colmap.kept_database import database_key, prepare_database
 from radiant_core.sfm.colmap.lenses import group_by_lens
@@ -19,6 +20,7 @@ from radiant_core.sfm.colmap.mapping import GROWTH, MAX_LEFT_SHARE, Mapped, Mapp
 from radiant_core.sfm.colmap.pairs import choose_pairs
 from radiant_core.sfm.colmap.previewed_pairs import keep_promising
 from radiant_core.sfm.colmap.quick_database import LEAST_TRIALS, MOST_TRIALS
+from radiant_core.sfm.colmap.rig import apply_rig
 from radiant_core.sfm.colmap.workspace import THOROUGH_FOLDER
 from radiant_core.sfm.config import Report, SfmConfig
 from radiant_core.sfm.masks import take_masks
@@ -86,6 +88,8 @@ def _attempt(photos: PhotographSet, work_folder: Path, config: SfmConfig, report
         given = take_masks(photos.masks, photos.photographs, work_folder)
         candidates, matching = choose_pairs(photos.photographs, config)
         extract_features(database, photos.folder, photos.photographs, config, report, given)
+        if has_faces(photo.name for photo in photos.photographs):
+            apply_rig(database, photos.folder)
         pairs, previewed = keep_promising(database, candidates, config, report)
         match_pairs(database, pairs, config, report)
         job = MappingJob(
@@ -99,7 +103,9 @@ def _attempt(photos: PhotographSet, work_folder: Path, config: SfmConfig, report
         )
         mapped = map_photographs(job)
     lenses = group_by_lens(photos.photographs)
-    decisions = (matching, lenses.decision, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
+    # Faces of panoramas have a lens of their own each, all alike.
+    by_lens = () if has_faces(photo.name for photo in photos.photographs) else (lenses.decision,)
+    decisions = (matching, *by_lens, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
     return Attempt(mapped=mapped, database=database, given_masks=given, config=config, decisions=decisions, warnings=lenses.warnings)
 
 
@@ -110,10 +116,10 @@ def _shortened(config: SfmConfig) -> tuple[Decision, ...]:
     adjusting = Decision(
         stage="sfm",
         topic="adjustment",
-        choice=f"of all photographs whenever the model has grown {GROWTH:g} times",
+        choice=f"all photographs, whenever the model has grown {GROWTH:g} times",
         figure=GROWTH,
         unit="times",
-        reason="adjusting at every tenth takes 40 % longer to the same poses",
+        reason="adjusting at every tenth takes 40 % longer and gives the same poses",
     )
     features = Decision(
         stage="sfm",
@@ -121,7 +127,7 @@ def _shortened(config: SfmConfig) -> tuple[Decision, ...]:
         choice=f"OpenCV's SIFT, {config.max_num_features:,} a photograph at most",
         figure=float(config.max_num_features),
         unit="features a photograph",
-        reason="a third of the time of COLMAP's, to the same poses",
+        reason="a third of the time of COLMAP's features, with the same poses",
     )
     verifying = Decision(
         stage="sfm",
@@ -129,6 +135,6 @@ def _shortened(config: SfmConfig) -> tuple[Decision, ...]:
         choice=f"{LEAST_TRIALS} to {MOST_TRIALS:,} samples a pair",
         figure=float(MOST_TRIALS),
         unit="samples a pair at most",
-        reason="COLMAP's 100 to 10,000 take four times as long and verify one pair in a hundred more",
+        reason="COLMAP's 100 to 10,000 take four times as long and verify 1 % more pairs",
     )
     return (features, verifying, adjusting)

@@ -71,7 +71,7 @@ class SfmConfig:
 
 
 Phase = Literal[
-    "watching films", "taking frames",
+    "watching films", "taking frames", "cutting panoramas",
     "checking photographs", "features", "pairs", "matching", "mapping", "triangulating", "refining", "undistorting",
 ]  # fmt: skip
 

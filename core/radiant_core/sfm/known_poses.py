@@ -162,6 +162,8 @@ def triangulate(
     options.random_seed = config.seed
     options.triangulation.ignore_two_view_tracks = False
     options.ba_global_max_refinements = refinements
+    # Poses stay; without this the places of cameras in their rig would not.
+    options.ba_refine_sensor_from_rig = False
     call_colmap(
         "triangulating",
         pycolmap.triangulate_points,

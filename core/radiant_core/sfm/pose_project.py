@@ -30,6 +30,8 @@ from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.workspace import start_clean
 from radiant_core.sfm.config import Report, SfmResult
 from radiant_core.sfm.known_poses import misfit_text
+from radiant_core.sfm.model_check import check_model_poses
+from radiant_core.sfm.panorama_poses import with_faces
 from radiant_core.sfm.pose_check import check_poses
 from radiant_core.sfm.pose_refinement import REFINED, refined_model
 from radiant_core.sfm.reconstruct import GivenModel, scene_from_model
@@ -70,9 +72,15 @@ class PosedProject:
 def read_project(path: Path, photos: Path, *, rough: bool = False) -> PosedProject:
     """The alignment in `path` of the photographs in `photos`, checked. Raises BadInput where it
     cannot be read, is of other photographs, or does not fit them; `rough`: as `check_poses`."""
+    return placed_project(read_named(path, photos), photos, rough=rough)
+
+
+def read_named(path: Path, photos: Path) -> PoseFile:
+    """The alignment in `path` by the names of its photographs in `photos`, not checked; raises as
+    `read_with_photographs`, and where a photograph lacks."""
     alignment, files = read_with_photographs(path, photos)
     require_files(files, [view.name for view in alignment.views])
-    return placed_project(alignment.named(files), photos, rough=rough)
+    return alignment.named(files)
 
 
 def read_with_photographs(path: Path, photos: Path) -> tuple[PoseFile, ImageFiles]:
@@ -93,7 +101,10 @@ def read_with_photographs(path: Path, photos: Path) -> tuple[PoseFile, ImageFile
 
 def placed_project(alignment: PoseFile, photos: Path | None, *, rough: bool = False) -> PosedProject:
     """The alignment in the scene's world; with `photos`, by whose names its own go, it is held
-    against them first. Raises BadInput where it does not fit them."""
+    against them first. Raises BadInput where it does not fit them, or is of panoramas, which
+    `with_faces` cuts."""
+    for lens in alignment.lenses.values():
+        lens.camera(1)
     if photos is not None:
         alignment = _in_their_size(alignment, photos)
     check = None if photos is None else check_poses(alignment, photos, rough=rough)
@@ -126,10 +137,12 @@ def scene_from_rough_colmap(
     start_clean(work_folder)
     shutil.rmtree(work_folder / GIVEN, ignore_errors=True)
     model, files = read_with_files(given.path, given.photos)
+    checked = check_model_poses(model, given.path, given.photos, rough=True)
     write_for_colmap(model, work_folder / GIVEN)
-    source, masks, refined = refined_model(GivenModel(folder=work_folder / GIVEN, images=given.photos), work_folder, report, masks)
+    rough = GivenModel(folder=work_folder / GIVEN, images=given.photos, is_checked=True)
+    source, masks, refined = refined_model(rough, work_folder, report, masks)
     result = scene_from_model(source, work_folder, report, masks, placement)
-    return replace(result, decisions=(refined, *result.decisions), warnings=(*files.notes(), *result.warnings))
+    return replace(result, decisions=(checked, refined, *result.decisions), warnings=(*files.notes(), *result.warnings))
 
 
 def scene_from_alignment(
@@ -137,9 +150,13 @@ def scene_from_alignment(
 ) -> SfmResult:
     """The scene of another program's alignment and its photographs; raises as `read_project` and
     `scene_from_colmap`."""
-    path, photos = given.path, given.photos
+    path = given.path
     start_clean(work_folder)
-    project = read_project(path, photos, rough=given.refine_poses)
+    faced = with_faces(read_named(path, given.photos), given.photos, masks, work_folder, report)
+    photos, masks = faced.photos, faced.masks
+    if faced.faces is not None and given.refine_poses:
+        raise BadInput(f"{faced.alignment.title} has panoramas, whose poses are not adjusted here: leave out --refine-poses.")
+    project = placed_project(faced.alignment, photos, rough=given.refine_poses)
     if project.frame is not None and replace(placement, contradictions="stop") != UNPLACED:
         raise BadInput(
             f"{project.alignment.title} says what its coordinates are ({project.alignment.world.title}), which is used as it is: leave out "
@@ -157,8 +174,11 @@ def scene_from_alignment(
         given_from_model=project.given_from_scene,
         crs=crs_of(project.alignment),
         used=frozenset(alignment_files(path)),
+        is_checked=True,
     )
     decisions = [] if project.check is None else [project.check]
+    if faced.faces is not None:
+        decisions.append(faced.faces.decision(len(faced.alignment.views) // len(faced.faces.rig.faces), forced=False))
     if given.refine_poses:
         source, masks, refined = refined_model(source, work_folder, report, masks)
         decisions.append(refined)

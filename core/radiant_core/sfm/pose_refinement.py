@@ -17,6 +17,7 @@ import numpy as np
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.io.colmap.model import read_model
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.database import extract_features, match_pairs
@@ -31,7 +32,6 @@ from radiant_core.sfm.known_poses import photographs_of, posed_model
 from radiant_core.sfm.masks import keep_masks, take_masks, undistort_masks
 from radiant_core.sfm.memory import limit_to_memory
 from radiant_core.sfm.reconstruct import GivenModel
-from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.world import cameras_of
 
 REFINED = "refined"

@@ -14,6 +14,7 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3, compose
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.georef.given_frame import GivenFrame
 from radiant_core.io.colmap.image_files import photographs_without_pose, read_with_files, unposed_count
 from radiant_core.io.colmap.model import read_model
@@ -22,10 +23,12 @@ from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
 from radiant_core.numerics import FloatArray
+from radiant_core.panoramas import has_faces
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.attempts import Attempt, PhotographSet, find_poses
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.refine import refine
+from radiant_core.sfm.colmap.rig import flatten, without_blind_faces
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
 from radiant_core.sfm.colmap.workspace import list_usable, start_clean, warn_of_unused
@@ -39,9 +42,9 @@ from radiant_core.sfm.gps_outliers import MANY, gps_outliers
 from radiant_core.sfm.known_poses import is_almost, misfit_text, triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
+from radiant_core.sfm.model_check import check_model_poses
 from radiant_core.sfm.readable import readable_folder, remove_readable, stretch_decisions
 from radiant_core.sfm.time_left import TimeLeft, predict_phases
-from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED, PlacedScene, scene_as_given, scene_in_world, with_warnings
 
@@ -62,29 +65,29 @@ def reconstruct(
     phases = with_preview(PHASES, config)
     report = number_phases(report, phases)
     listing = list_usable(photo_folder, report, stretch=True)
-    photographs = listing.photographs
+    photographs, sizes_wh = listing.photographs, [photo.size_wh for photo in listing.photographs]
     placement.check_copies(listing.copies)
     placement.check_names((photo.name for photo in photographs), of_model=False)
     contradicted = check_control(placement, photographs, {photo.name: photo.size_wh for photo in photographs})
-    config, limited = limit_to_memory(config, [photo.size_wh for photo in photographs])
-    report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases([photo.size_wh for photo in photographs], config))
+    config, limited = limit_to_memory(config, sizes_wh)
+    report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases(sizes_wh, config))
     given_masks, beside = masks, beside_warning(photo_folder, masks, control=placement.control_text)
     given_folder, photo_folder = photo_folder, readable_folder(listing, photo_folder, work_folder)
     photos = PhotographSet(folder=photo_folder, given_folder=given_folder, photographs=photographs, masks=masks)
     attempt = find_poses(photos, work_folder, config, report)
     mapped, given = attempt.mapped, attempt.given_masks
     assert mapped is not None
-    (work_folder / "sparse").mkdir()
+    sparse = work_folder / "sparse"
+    sparse.mkdir()
     refined = refine(mapped.model, config, report)
     surveyed = adjust_to_survey(refined, photographs, placement.parsed_control([photo.name for photo in photographs]), report)
-    _triangulate(refined, attempt, photo_folder, work_folder / "sparse", report)
-    threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
-    undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
+    blind = _triangulate(refined, attempt, photo_folder, sparse, report)
+    undistorted = undistort(sparse, photo_folder, work_folder, undistorting_threads(config, sizes_wh), report)
     remove_readable(work_folder)
-    masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
+    masks = undistort_masks(given, sparse, work_folder, config.threads)
     placed = _placed(read_model(undistorted.model_folder), surveyed, photographs, config.seed, placement)
     scene, repeats = without_repeats(placed.scene, undistorted.image_folder)
-    for folder in (work_folder / "sparse", undistorted.model_folder):
+    for folder in (sparse, undistorted.model_folder):
         fit_model(folder, placed.world_from_model, scene.cameras)
     remove_images(undistorted.image_folder, scene.cameras)
     outliers = gps_outliers(scene, photographs)
@@ -100,6 +103,7 @@ def reconstruct(
             *repeats,
             *_named(_unregistered_counts(mapped.unregistered, photographs), mapped.unregistered),
             *_named(_doubted_counts(mapped.doubted), mapped.doubted),
+            *blind,
             *outliers.warning(),
             *placed.warnings,
         ),
@@ -109,6 +113,7 @@ def reconstruct(
             *copies_count(len(placed.scene.cameras) - len(scene.cameras), len(placed.scene.cameras)),
             *_unregistered_counts(mapped.unregistered, photographs),
             *_doubted_counts(mapped.doubted),
+            *blind,
             *outliers.warning(named=False),
             *placed.warnings,
         ),
@@ -119,12 +124,15 @@ def reconstruct(
     )
 
 
-def _triangulate(refined: pycolmap.Reconstruction, attempt: Attempt, photo_folder: Path, folder: Path, report: Report) -> None:
+def _triangulate(refined: pycolmap.Reconstruction, attempt: Attempt, photo_folder: Path, folder: Path, report: Report) -> tuple[str, ...]:
+    """Write the model with all its points; what is said of faces of panoramas that it leaves
+    out."""
     total = int(refined.num_reg_images())
     report(SfmProgress(phase="triangulating", done=0, total=total))
     # Once: what more photographs see has just been adjusted.
     triangulate(refined, attempt.database, photo_folder, folder, attempt.config, refinements=1)
     report(SfmProgress(phase="triangulating", done=total, total=total))
+    return flatten(folder) if has_faces(image.name for image in refined.images.values()) else ()
 
 
 def _placed(
@@ -156,6 +164,8 @@ class GivenModel:
     """The system of those, where they have one."""
     used: frozenset[Path] = frozenset()
     """Files that it was read from; none for a COLMAP model."""
+    is_checked: bool = False
+    """Whether it was held against its photographs before."""
 
 
 def scene_from_colmap(
@@ -188,6 +198,7 @@ def scene_from_model(
     given_centers = _centers_of(model)
     _require_images(model, listing, image_folder)
     _require_tracks(model, model_folder, placement)
+    checked = () if source.is_checked else (check_model_poses(model, model_folder, image_folder),)
     contradicted = check_control(placement, listing.photographs, _sizes_of(model))
     beside = beside_warning(image_folder, masks, control=placement.control_text, used=source.used)
     if masks is not None or placement.control is not None or not pinhole:
@@ -207,6 +218,7 @@ def scene_from_model(
             model_folder = _written(model, work_folder / "sparse")
         model, images_to_use, masks = _undistorted(model_folder, image_folder, work_folder, given, report)
     model, said = with_points(model, images_to_use, work_folder, report, masks)
+    model, blind = without_blind_faces(model)
     if source.frame is not None:
         placed = scene_as_given(model, source.frame)
     else:
@@ -220,12 +232,13 @@ def scene_from_model(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
         unregistered=unposed,
-        decisions=(*stretch_decisions(listing), *placed.decisions, *masks_decision(scene, masks)),
+        decisions=(*checked, *stretch_decisions(listing), *placed.decisions, *masks_decision(scene, masks)),
         warnings=(
             *files.notes(),
             *_named(unposed_count(unposed, files), unposed),
             *warn_of_unused(listing, beside),
             *said,
+            *blind,
             *repeats,
             *outliers.warning(),
             *placed.warnings,

@@ -118,7 +118,8 @@ def measure(
 
 def measure_places(kind: MeasureKind, places: ArrayLike, sigmas: ArrayLike, accuracy: Accuracy) -> Measured:
     """A distance, height or area by places (P,3) alone, whose heights have σ (P,), before there is
-    a surface; the area is that on the map. BadInput as `measure`, and for what needs a surface."""
+    a surface; the area is that on the map. BadInput as `measure`, and for what needs the
+    surface."""
     points, deviations = require_measure(kind, places), np.asarray(sigmas, np.float64)
     if kind == "distance":
         return _distance(points, deviations, accuracy)

@@ -55,6 +55,9 @@ class TrainConfig:
     max_elongation: float | None = 10.0
     """A Gaussian's longest axis stays below this many times its second longest, so that there are
     no needles; None for no limit."""
+    needle_width_per_distance: float | Literal["auto"] = "auto"
+    """For that limit the second axis counts as at least this share of the distance to the nearest
+    camera: what is thinner than a pixel has no width that photographs show; auto: a pixel."""
     initial_opacity: float = 0.1
     """Opacity of the first Gaussians, the sky's apart."""
     initial_thickness: float = 1.0
@@ -141,6 +144,8 @@ class TrainConfig:
         require_at_least(self, 1, ("max_epochs", "settle_epochs"), or_none=True)
         require_at_least(self, 0, ("sh_degree_every", "means_lr", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr"))
         require_positive_or_none(self, ("max_scale_per_distance", "max_elongation", "max_extent_per_distance", "budget_s"))
+        if not (self.needle_width_per_distance == "auto" or 0 <= self.needle_width_per_distance < 1):
+            raise BadInput(f"needle_width_per_distance is {self.needle_width_per_distance}, expected auto or 0 to below 1.")
         if not 0 < self.means_lr_end <= 1:
             raise BadInput(f"means_lr_end is {self.means_lr_end}, expected above 0 and at most 1.")
         require_at_least(self, 0, ("thickness_weight", "depth_spread_weight"))

@@ -68,10 +68,10 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
     resolution."""
     # The scene's points, of which there may be many, are sorted once; of those added there are few.
     tree, points, colors_of_points = KDTree(scene.points), np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    seen_by = scene.points_of_cameras()
     for index in range(len(views)):
         cells = _cells(views.images[index], None if views.weights is None else views.weights[index])
-        seen = scene.points[scene.observations[scene.observations[:, 1] == index, 0]]
-        placed = _place(views.cameras, index, seen, cells)
+        placed = _place(views.cameras, index, scene.points[seen_by[index]], cells)
         if placed is None:
             continue
         new, spacing, empty = placed
@@ -82,17 +82,17 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
             apart = distances > MIN_SPACING_CELLS * spacing
             points = np.concatenate([points, new[apart]])
             colors_of_points = np.concatenate([colors_of_points, new_colors[apart]])
-    stays = ~_are_seen_through(scene, views.cameras, points)
+    stays = ~_are_seen_through(scene, seen_by, views.cameras, points)
     share = 1 - float(stays.mean()) if len(stays) else 0.0
     return AddedPoints(points=points[stays], colors=colors_of_points[stays], seen_through_share=share)
 
 
-def _are_seen_through(scene: SfmScene, cameras: Cameras, points: FloatArray) -> NDArray[np.bool_]:
+def _are_seen_through(scene: SfmScene, seen_by: list[NDArray[np.int64]], cameras: Cameras, points: FloatArray) -> NDArray[np.bool_]:
     """Which points (F,) would hide what a camera sees behind them. Once per model: V queries of F
     points among those that a camera sees."""
     seen_through = np.zeros(len(points), bool)
     for index in range(len(cameras)):
-        seen, seen_depths = _project(cameras, index, scene.points[scene.observations[scene.observations[:, 1] == index, 0]])
+        seen, seen_depths = _project(cameras, index, scene.points[seen_by[index]])
         pixels, depths = _project(cameras, index, points)
         asked = np.flatnonzero((depths > 0) & ((pixels >= 0) & (pixels < cameras.sizes_wh[index])).all(axis=1))
         if (seen_depths > 0).sum() < WITNESSES or not len(asked):

@@ -24,10 +24,9 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import RadiantError
 from radiant_core.numerics import FloatArray
 from radiant_core.regimes import FILL_IN, Regime, require
-from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, with_settings
 from radiant_core.train.few import EVERY, FEWEST, Choice, Score, Trial
-from radiant_core.train.fill_in import contradicted_share, fill_in_points
+from radiant_core.train.fill_in import AddedPoints, contradicted_share
 from radiant_core.train.needs import most_steps
 from radiant_core.train.views import TrainingViews
 
@@ -77,12 +76,12 @@ class TrialSize:
     long_side_px: int
 
 
-def open_gates(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> tuple[TrainConfig, tuple[Gate, ...]]:
-    """The helpers that may lose with these photographs; others that are "auto" are switched on.
-    `views.cameras` are the scene's in the same order."""
+def open_gates(config: TrainConfig, added: AddedPoints, views: TrainingViews) -> tuple[TrainConfig, tuple[Gate, ...]]:
+    """The helpers that may lose with these photographs, of which `added` are the points to fill in;
+    others that are "auto" are switched on."""
     if config.fill_in != "auto":
         return config, ()
-    config, added = replace(config, fill_in=True), fill_in_points(scene, views)
+    config = replace(config, fill_in=True)
     contradicted, seen_through = contradicted_share(added, views), added.seen_through_share
     case = require(FILL_IN, {"contradicted": contradicted, "seen_through": seen_through})
     if case.values["on"] and not case.values["tried"]:

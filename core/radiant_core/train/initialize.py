@@ -86,7 +86,9 @@ def _away_from_cameras(points: FloatArray, cameras: Cameras) -> NDArray[np.bool_
     return distances > MIN_CAMERA_SHARE * float(np.median(distances))
 
 
-def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig, dense: DensePoints | None = None) -> tuple[Splats, int]:
+def first_splats(
+    scene: SfmScene, views: TrainingViews, config: TrainConfig, dense: DensePoints | None = None, filled: AddedPoints | None = None
+) -> tuple[Splats, int]:
     """Return the Gaussians that training starts from: sparse points and, by `config`, fill-in
     points and a sky; dense points in place of those near to one.
 
@@ -95,12 +97,13 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig, den
         views: the photographs; their cameras are those of the scene, in the same order.
         config: the settings of training.
         dense: points that photographs agree on, if they were matched.
+        filled: what `fill_in_points` adds to these photographs, where that is known already.
 
     Returns:
         The Gaussians, and how many points were filled in: at most what the limit leaves or a
         quarter of it, whichever is more.
     """
-    fill = fill_in_points(scene, views) if config.fill_in else NO_POINTS
+    fill = NO_POINTS if not config.fill_in else fill_in_points(scene, views) if filled is None else filled
     fill = fill.thin(room_to_fill(config.max_num_splats, len(scene.points)))
     initial = initial_gaussians(scene.points, scene.colors, fill, views.cameras, config, sky_rgb_of(views))
     if dense is not None and len(dense) >= 4:

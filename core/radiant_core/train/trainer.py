@@ -33,7 +33,7 @@ from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from radiant_core.train.optimizer import BETA1, SelectiveAdam
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainProgress, TrainResult, TrainState
-from radiant_core.train.shapes import ShapeCounts, limit_shapes
+from radiant_core.train.shapes import ShapeCounts, limit_shapes, with_needle_width
 from radiant_core.train.thin_surfaces import ThinSurfaces
 from radiant_core.train.validation import BestModel
 from radiant_core.train.view_loss import ViewLoss, view_of_step
@@ -282,6 +282,7 @@ class Training(ModelFit):
 
     def __init__(self, initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> None:
         extent = working_extent(views.cameras, initial, config.max_extent_per_distance) if options.extent is None else options.extent
+        config = with_needle_width(config, views.cameras)
         super().__init__(initial, config, options, extent)
         self._views = views
         self._parts = training_parts(self._splats, views, config, options, extent)

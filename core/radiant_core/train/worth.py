@@ -74,15 +74,15 @@ def relative_sharpness(scene: SfmScene, views: TrainingViews) -> FloatArray:
     rows, pixels = views.observed_pixels(scene)
     point, view = scene.observations[rows].T
     logs = np.empty(len(rows))
-    for index in np.unique(view):
-        own = view == index
-        energies = _gradient_energy(views.images[index])
-        logs[own] = np.log(energies[pixels[own, 1], pixels[own, 0]] + MIN_GRADIENT**2)
+    by_view = np.split(np.argsort(view, kind="stable"), np.cumsum(np.bincount(view, minlength=len(views)))[:-1])
+    for image, own in zip(views.images, by_view, strict=True):
+        if len(own):
+            logs[own] = np.log(_gradient_energy(image)[pixels[own, 1], pixels[own, 0]] + MIN_GRADIENT**2)
     typical, num_seeing = _medians_of_others(point, logs)
     ratios, judged = logs - typical, num_seeing >= 3
     sharpness = np.full(len(views), np.nan)
-    for index in range(len(views)):
-        own = ratios[judged & (view == index)]
+    for index, rows in enumerate(by_view):
+        own = ratios[rows[judged[rows]]]
         if len(own) >= MIN_COMMON_POINTS:
             sharpness[index] = np.exp(0.5 * np.median(own))
     return sharpness

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, find_contradictions
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import Join
 from radiant_core.aggregate.join import Check, join_models
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.hierarchy.joining import admit
+from radiant_core.hierarchy.messages import DeviceModel
+from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.plan.regions.claims import claims_of_cells
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import SH_C0, Splats, concatenate_splats
@@ -88,7 +91,7 @@ def joined(models: dict[int, Splats]) -> Splats:
     teachers = [Teacher(splats=model, cameras=CAMERAS[device]) for device, model in models.items()]
     config = TrainConfig(long_side_px=48, num_steps=20, max_num_splats=10_000, sh_degree=0)
     claims = claims_of_cells(SITES[list(models)], np.zeros(len(models)))
-    return join_models(teachers, config, AggregateConfig(max_num_steps=20), FitOptions(), claims).splats
+    return join_models(teachers, config, Join(max_num_steps=20), FitOptions(), claims).splats
 
 
 def interior_db(scene: Splats, device: int) -> float:
@@ -123,12 +126,23 @@ def test_undefended_the_same_attack_costs_every_honest_region_decibels(monkeypat
     assert min(interior_db(clean, device) - interior_db(scene, device) for device in (0, 1, 2, 3, 5)) > 10.0
 
 
-def test_two_that_contradict_each_other_both_stay() -> None:
-    assert find_contradictions([HONEST[0], another_scene(1)], CAMERAS[:2]).refused == {}
+def test_two_that_contradict_each_other_both_stay_and_are_named() -> None:
+    found = find_contradictions([HONEST[0], another_scene(1)], CAMERAS[:2])
+    assert found.refused == {} and set(found.ties) == {(0, 1)} and found.ties[0, 1] < MIN_AGREEMENT_DB
+    reporter, arrived = Recorder(), {"north": arrival(HONEST[0], 0), "south": arrival(another_scene(1), 1)}
+    assert admit(arrived, [4, 4], reporter).senders == ("north", "south")
+    (warning,) = reporter.warnings
+    assert warning.startswith("the models of north and south contradict each other") and "both are joined" in warning
+    assert find_contradictions(HONEST[:2], CAMERAS[:2]).ties == find_contradictions(attacked("blanket"), CAMERAS).ties == {}
     # A third that shares no place with them has no say.
     far = replace(HONEST[2], means=HONEST[2].means + np.float32([100, 0, 0]))
     away = replace(CAMERAS[2], cam_from_world=CAMERAS[2].cam_from_world @ _shift([-100, 0, 0]))
-    assert find_contradictions([HONEST[0], another_scene(1), far], [*CAMERAS[:2], away]).refused == {}
+    found = find_contradictions([HONEST[0], another_scene(1), far], [*CAMERAS[:2], away])
+    assert found.refused == {} and set(found.ties) == {(0, 1)}
+
+
+def arrival(splats: Splats, device: int) -> DeviceModel:
+    return DeviceModel(splats=splats, cameras=CAMERAS[device], summary={})
 
 
 def _shift(by: list[float]) -> np.ndarray:

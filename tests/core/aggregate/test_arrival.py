@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from radiant_core.aggregate.arrival import MAX_SPLATS, check_splats
+from radiant_core.hierarchy.codec import load_device_model
 from radiant_core.hierarchy.joining import model_problem
 from radiant_core.io.array_file import save_arrays
-from radiant_core.io.messages import load_device_model
 from radiant_core.io.records import save_cameras
 from radiant_core.io.transport.upload import count_uploaded, save_upload
 from radiant_core.splats import Splats
@@ -77,7 +77,7 @@ def test_as_many_as_allowed_are_allowed(monkeypatch: pytest.MonkeyPatch, tmp_pat
     save_upload(tmp_path / "model.safetensors", GROUND, "float16")
     for limit, passes in ((len(GROUND), True), (len(GROUND) - 1, False)):
         monkeypatch.setattr("radiant_core.aggregate.arrival.MAX_SPLATS", limit)
-        monkeypatch.setattr("radiant_core.io.messages.MAX_SPLATS", limit)
+        monkeypatch.setattr("radiant_core.hierarchy.codec.MAX_SPLATS", limit)
         assert (check_splats(GROUND, CAMERAS) is None) is passes
         assert isinstance(arrived_in(tmp_path), Splats) is passes
 

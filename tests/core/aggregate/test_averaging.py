@@ -22,7 +22,7 @@ from radiant_core.aggregate.averaging import (
 )
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.shown_pixels import count_shown_photographs
-from radiant_core.io.messages import passed_refinement
+from radiant_core.hierarchy.codec import passed_refinement
 from tests.core.scenes import cameras_above, ground_splats
 
 SCENE = ground_splats(200)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from radiant_core.aggregate import join
-from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.config import Join, aggregate_preset
 from radiant_core.aggregate.join import NUM_COMPARED, Check, Joined, cut_at_borders, join_models, most_contested
 from radiant_core.aggregate.retrain import Retrained
 from radiant_core.aggregate.synthetic_views import Teacher
@@ -36,7 +36,7 @@ def teachers(num_views: int = NUM_VIEWS) -> list[Teacher]:
 
 
 def joined(num_views: int = NUM_VIEWS, num_tiles: int = 1, **settings: object) -> Joined:
-    config = AggregateConfig(**settings)  # type: ignore[arg-type]
+    config = Join(**settings)  # type: ignore[arg-type]
     return join_models(teachers(num_views), TRAIN, config, FitOptions(backend="native"), CLAIMS, num_tiles)
 
 
@@ -60,7 +60,7 @@ def test_a_joined_model_that_is_worse_is_not_kept_and_the_decision_says_so(num_t
     cut = cut_at_borders(teachers(), CLAIMS).splats
     for name, array in result.splats.arrays().items():
         np.testing.assert_array_equal(array, cut.arrays()[name], err_msg=name)
-    (decision,) = (one for one in join_decisions("edges/a", AggregateConfig(), 2, result) if one.topic == "joined or cut")
+    (decision,) = (one for one in join_decisions("edges/a", Join(), 2, result) if one.topic == "joined or cut")
     assert decision.choice == "the cut model is kept" and decision.unit == "dB over the joined one" and not decision.changes_nothing
     assert result.check.cut_db > result.check.joined_db + 3 and decision.figure == pytest.approx(
         result.check.cut_db - result.check.joined_db
@@ -71,7 +71,7 @@ def test_a_joined_model_that_is_worse_is_not_kept_and_the_decision_says_so(num_t
 def test_a_joined_model_that_is_better_is_kept_and_the_decision_says_by_how_much() -> None:
     result = joined()
     assert result.check is not None and result.check.keeps_joined
-    (decision,) = (one for one in join_decisions("cloud", AggregateConfig(), 2, result) if one.topic == "joined or cut")
+    (decision,) = (one for one in join_decisions("cloud", Join(), 2, result) if one.topic == "joined or cut")
     assert decision.choice == "the joined model is kept" and decision.unit == "dB over the cut one" and decision.changes_nothing
     assert result.check.joined_db > result.check.cut_db and decision.figure == pytest.approx(result.check.joined_db - result.check.cut_db)
 
@@ -81,7 +81,7 @@ def test_every_view_is_shown_and_some_are_compared(num_views: int) -> None:
     result = joined(num_views, num_epochs=1)
     assert result.trained.num_steps == num_views
     assert result.check is not None and result.check.num_views == min(NUM_COMPARED, num_views)
-    assert len([one for one in join_decisions("cloud", AggregateConfig(), 2, result) if one.topic == "joined or cut"]) == 1
+    assert len([one for one in join_decisions("cloud", Join(), 2, result) if one.topic == "joined or cut"]) == 1
 
 
 def test_views_that_show_little_of_what_two_models_know_decide_nothing() -> None:
@@ -109,5 +109,5 @@ def test_equal_figures_keep_the_joined_one() -> None:
 
 
 def test_the_paper_compares_nothing() -> None:
-    result = join_models(teachers(), TRAIN, replace(aggregate_preset("paper"), num_epochs=1), FitOptions(backend="native"), CLAIMS)
+    result = join_models(teachers(), TRAIN, replace(aggregate_preset("paper").at_cloud, num_epochs=1), FitOptions(backend="native"), CLAIMS)
     assert result.check is None and result.trained.num_steps == NUM_VIEWS

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import Join
 from radiant_core.aggregate.extend import Extended, NewRegion, extend_scene
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.errors import BadInput
@@ -36,7 +36,7 @@ def old_and_new() -> tuple[Splats, Splats, Splats]:
 
 
 def extended(old: Splats, new: Splats, region: NewRegion = EAST, *, epochs: int = 6) -> Extended:
-    return extend_scene(old, Teacher(splats=new, cameras=CAMERAS), region, TRAIN, AggregateConfig(num_epochs=epochs), FitOptions())
+    return extend_scene(old, Teacher(splats=new, cameras=CAMERAS), region, TRAIN, Join(num_epochs=epochs), FitOptions())
 
 
 def border_psnr_db(made: Splats, truth: Splats) -> float:
@@ -62,7 +62,7 @@ def test_where_no_camera_looks_the_models_are_cut_at_the_border() -> None:
     _, old, new = old_and_new()
     far = NewRegion(polygon=np.array([[3.5, 3.5], [5, 3.5], [5, 5], [3.5, 5]]), margin_m=0.2)
     looks_away = replace(CAMERAS, cam_from_world=CAMERAS.cam_from_world - np.array([[0, 0, 0, 100.0], [0] * 4, [0] * 4, [0] * 4]))
-    made = extend_scene(old, Teacher(splats=new, cameras=looks_away), far, TRAIN, AggregateConfig(), FitOptions())
+    made = extend_scene(old, Teacher(splats=new, cameras=looks_away), far, TRAIN, Join(), FitOptions())
     assert made.num_shown == 0
     inside = far.inside_m(old.means) > 0
     expected = np.concatenate([old.means[~inside], new.means[far.inside_m(new.means) > 0]])

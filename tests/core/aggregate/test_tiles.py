@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiant_core.aggregate import tiles
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import Join
 from radiant_core.aggregate.join import join_models, teacher_views
 from radiant_core.aggregate.retrain import Retrained, retrain
 from radiant_core.aggregate.synthetic_views import Teacher
@@ -31,7 +31,7 @@ from tests.core.scenes import cameras_above, ground_splats
 GROUND = ground_splats(2500, half_side_m=8.0)
 CAMERAS = cameras_above([(x, y) for x in (-5.0, -2.0, 1.0, 4.0) for y in (-5.0, -2.0, 1.0, 4.0)], size_wh=(96, 72))
 TRAIN = replace(train_preset("draft"), long_side_px=96, max_num_splats=10_000)
-AGGREGATE = AggregateConfig(num_epochs=4)
+AGGREGATE = Join(num_epochs=4)
 NATIVE = FitOptions(backend="native")
 
 
@@ -191,9 +191,7 @@ def test_where_no_view_shows_any_tile_nothing_is_fitted_and_the_join_is_a_cut() 
 def test_centres_of_a_tile_move_in_the_units_of_all_views(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[FitOptions] = []
 
-    def hear(
-        moving: Splats, shown: TrainingViews, train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, **more: Any
-    ) -> Retrained:
+    def hear(moving: Splats, shown: TrainingViews, train: TrainConfig, aggregate: Join, options: FitOptions, **more: Any) -> Retrained:
         heard.append(options)
         return retrain(moving, shown, train, aggregate, options, **more)
 
@@ -202,7 +200,7 @@ def test_centres_of_a_tile_move_in_the_units_of_all_views(monkeypatch: pytest.Mo
     for preset, limit in (("default", 0.5), ("paper", None)):
         heard.clear()
         train = replace(TRAIN, max_extent_per_distance=0.5)
-        retrain_by_tiles(given, shown, train, AggregateConfig(preset=preset, num_epochs=1), NATIVE, 4)
+        retrain_by_tiles(given, shown, train, Join(preset=preset, num_epochs=1), NATIVE, 4)
         expected = working_extent(shown.cameras, given.select(reached_by(given, shown.cameras)), limit)
         assert len(heard) > 1 and {options.extent for options in heard} == {expected}
         assert (expected < camera_extent(shown.cameras)) == (limit is not None)

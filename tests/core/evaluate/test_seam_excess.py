@@ -166,7 +166,7 @@ def joined(cloud: str) -> Splats:
         sites=((-3.0, 0.0), (3.0, 0.0)),
         weights=(0.0, 0.0),
         train=TRAIN,
-        aggregate=replace(aggregate_preset("default"), cloud=cloud, num_epochs=NUM_EPOCHS),
+        aggregate=replace(aggregate_preset("default"), cloud=cloud, cloud_epochs=NUM_EPOCHS),
         backend="native",
     )
     edges = {name: EdgeModel(splats=device_models()[index], cameras=CAMERAS.select(rows[index])) for index, name in enumerate("01")}

@@ -24,8 +24,8 @@ from radiant_core.geometry.cleaning import (
     keeps_land,
     keeps_places,
 )
+from radiant_core.geometry.cleaning_file import cleaning_path, load_cleaning, save_cleaning
 from radiant_core.geometry.support import Support
-from radiant_core.io.cleaning_file import cleaning_path, load_cleaning, save_cleaning
 from radiant_core.splats import Splats
 
 SQUARE = ((0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0))

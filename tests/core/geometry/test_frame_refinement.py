@@ -14,11 +14,11 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry import frame_matches
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.geometry.frame_matches import FEW_COARSE_VIEWS, coarse_match, find_overlap, without_background
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame, refine_frames
 from radiant_core.geometry.model_views import Hub, ModelViews, corners, follow, hub_map
 from radiant_core.geometry.pair_fit import compose
-from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.splats import Splats, concatenate_splats
 from tests.core.geometry.patchy_ground import cameras_over, gps_like_move, ground_model, move_about, moved_model
 

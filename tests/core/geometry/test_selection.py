@@ -13,8 +13,8 @@ from matplotlib.path import Path as Outline
 
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.geometry.cleaning import Cleaning, SelectionStep, clean, describe, keeps
+from radiant_core.geometry.cleaning_file import cleaning_path, load_cleaning, save_cleaning
 from radiant_core.geometry.selection import Front, Stroke, chosen_by
-from radiant_core.io.cleaning_file import cleaning_path, load_cleaning, save_cleaning
 from tests.core.geometry.test_cleaning import splats_of
 
 POSE = (0.6, -0.8, 0.0, 1.0, 0.8, 0.6, 0.0, -2.0, 0.0, 0.0, 1.0, 25.0)

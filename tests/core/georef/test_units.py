@@ -17,7 +17,7 @@ from radiant_core.georef.crs import Crs, parse_crs
 from radiant_core.georef.features import crs_member, in_crs
 from radiant_core.georef.reference import georeference, map_offset
 from radiant_core.georef.sidecar import save_sidecar
-from radiant_core.io.waypoints.geojson_reader import geojson_rows
+from radiant_core.waypoints.geojson_reader import geojson_rows
 from tests.core.georef.published_points import FEET_M
 from tests.core.scenes import ground_splats
 

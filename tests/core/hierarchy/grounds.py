@@ -11,7 +11,7 @@ from radiant_core.train.config import train_preset
 from tests.core.scenes import cameras_above, ground_splats
 
 TRAIN = replace(train_preset("draft"), num_steps=20, long_side_px=48, max_num_splats=400)
-AGGREGATE = AggregateConfig(num_epochs=1)
+AGGREGATE = AggregateConfig(cloud_epochs=1)
 NAMES = ("a", "b", "c")
 MIDDLES = (-2.0, 0.0, 2.0)
 CAMERAS = tuple(cameras_above([(x, -1.0), (x, 1.0)]) for x in MIDDLES)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.held_out import held_out_psnr_db
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.hierarchy.choosing import BEST_DB, CUT, JOINED, REFINED, choose_version, in_order
 from radiant_core.hierarchy.in_process import InProcessRun, keep_best
 from radiant_core.hierarchy.messages import ONLY_FADED, SceneModel
 from radiant_core.hierarchy.reporter import Recorder
+from radiant_core.light.held_out import held_out_psnr_db
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 from radiant_core.train.views import TrainingViews

@@ -55,7 +55,7 @@ def test_a_machine_with_too_little_free_memory_cuts_and_says_that_another_try_ma
     (warning,) = reporter.warnings
     assert scene.cut_for_memory and aggregation(reporter) == CUT
     assert "80% of what this machine has free" in warning and "free memory there and go on with --resume" in warning
-    assert "radiant aggregate RUN --out JOINED.ply" in warning
+    assert "radiant join RUN --out JOINED.ply" in warning
     assert scene.splats is not None and scene.summary["num_steps"] == 0
     # A cut keeps to each Gaussian's own region.
     given = sum(len(model.splats or ()) for model in PAIR.values())
@@ -101,7 +101,7 @@ def test_a_join_that_exceeds_the_memory_by_little_is_done_in_tiles_and_says_how_
         (warning,) = reporter.warnings
         (memory,) = (decision for decision in reporter.decisions if decision.topic == "memory")
         assert memory.choice.startswith("models are joined in ") and memory.choice in warning
-        assert lift in warning and "--resume" not in warning and "radiant aggregate RUN" in warning
+        assert lift in warning and "--resume" not in warning and "radiant join RUN" in warning
         assert scene.summary["num_steps"] > 0 and not scene.cut_for_memory
         assert aggregation(reporter) == "retraining all models together"
 
@@ -116,7 +116,7 @@ def test_a_lone_edges_model_is_not_said_to_be_joined_in_tiles(monkeypatch: pytes
 
 def test_the_papers_cloud_crops_where_its_memory_ends_and_knows_no_tiles() -> None:
     needed = plan_join_memory([part(0), part(1)], CAMERAS[:2], 48, np.inf).needed_bytes
-    cropped, reporter = joined(Cloud(memory_bytes=needed - 1), aggregate=replace(aggregate_preset("paper"), num_epochs=1))
+    cropped, reporter = joined(Cloud(memory_bytes=needed - 1), aggregate=replace(aggregate_preset("paper"), cloud_epochs=1))
     assert "num_dropped" in cropped.summary and "memory" in reporter.warnings[0]
 
 
@@ -130,7 +130,7 @@ def test_settings_that_ask_for_crop_merge_get_it_without_any_choice() -> None:
 
 
 def test_the_papers_cloud_crops_where_its_limits_end() -> None:
-    paper = replace(aggregate_preset("paper"), num_epochs=1)
+    paper = replace(aggregate_preset("paper"), cloud_epochs=1)
     retrained, _ = joined(aggregate=paper)
     assert retrained.summary["num_steps"] == 4 and retrained.splats is not None and len(retrained.splats) == len(part(0)) + len(part(1))
     cropped, reporter = joined(Cloud(max_cameras=3), aggregate=paper)
@@ -174,7 +174,7 @@ def test_an_extension_is_a_join_that_admits_and_balances_nothing() -> None:
     for name, array in kept.arrays().items():
         assert np.array_equal(getattr(scene.splats.select(np.arange(len(kept))), name), array), name
     task, new = cloud_task("a", "b"), Teacher(splats=part(1), cameras=CAMERAS[1])
-    alone = extend_scene(standing, new, region, task.train, task.aggregate, FitOptions(backend=task.backend))
+    alone = extend_scene(standing, new, region, task.train, task.aggregate.at_cloud, FitOptions(backend=task.backend))
     for name, array in alone.splats.arrays().items():
         assert np.array_equal(getattr(scene.splats, name), array), name
     assert scene.summary == {"num_splats": len(alone.splats), **alone.counts()}

@@ -86,8 +86,8 @@ def test_virtual_cameras_follow_from_what_arrived_and_stand_where_no_device_stoo
 
 def test_an_edge_shows_each_view_as_often_as_its_own_epochs_say_whatever_the_cloud_does() -> None:
     models = {name: device_models()[name] for name in "ab"}
-    for config in (AGGREGATE, replace(AGGREGATE, cloud="crop_merge"), replace(AGGREGATE, num_epochs=9)):
-        assert join_edge(edge_task("a", "b", aggregate=config), models, Recorder()).summary["num_steps"] == 4 * AGGREGATE.epochs_at_edges
+    for config in (AGGREGATE, replace(AGGREGATE, cloud="crop_merge"), replace(AGGREGATE, cloud_epochs=9)):
+        assert join_edge(edge_task("a", "b", aggregate=config), models, Recorder()).summary["num_steps"] == 4 * AGGREGATE.at_edge.num_epochs
     thrice = join_edge(edge_task("a", "b", aggregate=replace(AGGREGATE, edge_epochs=3)), models, Recorder())
     assert thrice.summary["num_steps"] == 12
 
@@ -104,9 +104,7 @@ def test_what_exceeds_an_edges_memory_is_cut_with_a_warning_that_says_how_to_joi
     reporter = Recorder(stage="edges/north")
     found = join_edge(edge_task("a", "b", memory_bytes=1e8), models, reporter)
     (warning,) = reporter.warnings
-    assert (
-        "memory_gb of this edge allows 100 MB" in warning and "raise memory_gb of this edge" in warning and "radiant aggregate" in warning
-    )
+    assert "memory_gb of this edge allows 100 MB" in warning and "raise memory_gb of this edge" in warning and "radiant join" in warning
     assert choices(reporter, "memory") == ["models are cut at their borders instead of retrained"]
     assert found.splats is not None and found.summary["num_steps"] == 0 and not found.cut_for_memory
     assert 0 < len(found.splats) < sum(len(model.splats) for model in models.values())
@@ -131,7 +129,7 @@ def test_without_a_limit_edges_share_what_their_machine_has_free() -> None:
     assert "80% of what this machine has free, divided among 2 edges at a time, allows" in warning
     assert (
         "free memory there before the next run (--resume tries a cut again), or give this edge memory_gb" in warning
-        and "radiant aggregate RUN" in warning
+        and "radiant join RUN" in warning
     )
     assert found.cut_for_memory, "another try may join"
     # What its process holds already is not asked of the memory that is free.

@@ -11,11 +11,11 @@ import pytest
 from radiant_core.aggregate.averaging import admit_refinement, join_refinements, refine_scene, refinement_problem
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.shown_pixels import count_shown_photographs
+from radiant_core.hierarchy.codec import load_refinement, passed_refinement, save_refinement
 from radiant_core.hierarchy.messages import RefineTask
 from radiant_core.hierarchy.refine import refine_device
 from radiant_core.hierarchy.refining_plan import refining_steps
 from radiant_core.hierarchy.reporter import Recorder
-from radiant_core.io.messages import load_refinement, passed_refinement, save_refinement
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 from radiant_core.train.config import train_preset

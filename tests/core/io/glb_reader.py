@@ -1,6 +1,6 @@
 """GLB files of strangers with KHR_gaussian_splatting as models, z up. Once per file.
 
-Strict: the two layouts that `io.export.glb` writes, a primitive of POINTS with float attributes,
+Strict: the two layouts that `export.glb` writes, a primitive of POINTS with float attributes,
 each accessor inside the file, or with one SPZ, whose count and degree the attributes repeat.
 """
 
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.special import logit  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.errors import BadInput
+from radiant_core.export.glb import COMPRESSION, EXTENSION, GLTF_FROM_WORLD
 from radiant_core.frames import Sim3
 from radiant_core.geometry.similarity import move_splats
-from radiant_core.io.export.glb import COMPRESSION, EXTENSION, GLTF_FROM_WORLD
 from radiant_core.io.run_store import parse_json, read_bounded
 from radiant_core.io.spz import splats_from_gzip_spz
 from radiant_core.splats import SH_BASES, Splats

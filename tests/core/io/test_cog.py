@@ -11,8 +11,8 @@ import pytest
 import rasterio
 import tifffile
 
-from radiant_core.io.export import geotiff
-from radiant_core.io.export.geotiff import NO_DATA, TiledRaster, cut_tiles, halved, save_tiles
+from radiant_core.export import geotiff
+from radiant_core.export.geotiff import NO_DATA, TiledRaster, cut_tiles, halved, save_tiles
 from radiant_core.survey.map_grid import MapGrid
 
 ROWS, COLUMNS, TILE = 150, 201, 32

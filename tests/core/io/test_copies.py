@@ -9,7 +9,7 @@ import pytest
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.copies import copies_warning, file_copies
 from radiant_core.io.photos.listing import list_photographs
-from radiant_core.io.waypoints.reader import exif_waypoints
+from radiant_core.waypoints.reader import exif_waypoints
 
 HAMLET = Path(__file__).parents[3] / "sample_scenes" / "hamlet" / "images"
 

@@ -13,8 +13,8 @@ from pyproj import Transformer
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
-from radiant_core.io.waypoints import region as geojson_region
-from radiant_core.io.waypoints.region import load_region
+from radiant_core.waypoints import region as geojson_region
+from radiant_core.waypoints.region import load_region
 
 ORIGIN = np.array([47.0, 8.0, 400.0])
 

@@ -12,8 +12,8 @@ import rasterio
 import tifffile
 
 from radiant_core.errors import BadInput
-from radiant_core.io.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
-from radiant_core.io.export.mesh_ply import save_mesh
+from radiant_core.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
+from radiant_core.export.mesh_ply import save_mesh
 from radiant_core.survey.map_grid import MapGrid
 
 

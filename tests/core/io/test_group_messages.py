@@ -10,8 +10,8 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from radiant_core.errors import RadiantError
+from radiant_core.hierarchy.group_codec import load_begin, load_start, save_begin, save_start
 from radiant_core.hierarchy.together import Begun, ShareStart
-from radiant_core.io.group_messages import load_begin, load_start, save_begin, save_start
 from radiant_core.light.offsets import PointLogs
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.policies import NoDensification

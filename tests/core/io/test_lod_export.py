@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.export.lod import LodFigures, save_lod
-from radiant_core.io.export.sog import save_sog, save_sog_folder
+from radiant_core.export.lod import LodFigures, save_lod
+from radiant_core.export.sog import save_sog, save_sog_folder
 from radiant_core.io.lod_reader import load_lod_level, load_lod_meta
 from radiant_core.io.ply import load_ply
 from radiant_core.io.sog_reader import load_sog

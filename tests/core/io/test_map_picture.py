@@ -12,7 +12,7 @@ import pytest
 import tifffile
 
 from radiant_core.errors import BadInput
-from radiant_core.io.export.geotiff import TiledRaster, cut_tiles, save_tiles
+from radiant_core.export.geotiff import TiledRaster, cut_tiles, save_tiles
 from radiant_core.io.map_picture import load_map_picture
 from radiant_core.survey.map_grid import MapGrid
 

@@ -17,18 +17,7 @@ from hypothesis import strategies as st
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, FrameUncertainty
-from radiant_core.hierarchy.groups import GroupTraining, Seat
-from radiant_core.hierarchy.messages import (
-    CloudTask,
-    DeviceModel,
-    DeviceSettings,
-    DeviceTask,
-    EdgeModel,
-    EdgeTask,
-    Extension,
-    device_task,
-)
-from radiant_core.io.messages import (
+from radiant_core.hierarchy.codec import (
     TASK_NAME,
     load_task,
     message_of,
@@ -40,6 +29,17 @@ from radiant_core.io.messages import (
     sent_bytes,
     sent_files,
     task_key,
+)
+from radiant_core.hierarchy.groups import GroupTraining, Seat
+from radiant_core.hierarchy.messages import (
+    CloudTask,
+    DeviceModel,
+    DeviceSettings,
+    DeviceTask,
+    EdgeModel,
+    EdgeTask,
+    Extension,
+    device_task,
 )
 from radiant_core.io.run_store import content_key, file_sha256, key_of_files
 from radiant_core.plan.system import Cloud
@@ -224,7 +224,7 @@ OTHERS: dict[str, Any] = {
     "checkpoint_every_s": 99.0,
     "upload": "spz",
     "memory_bytes": 3e9,
-    "aggregate": replace(AGGREGATE, num_epochs=9),
+    "aggregate": replace(AGGREGATE, cloud_epochs=9),
     "limits": Cloud(),
     "edge_times_s": (5.5,),
     "cloud": None,

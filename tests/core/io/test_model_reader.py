@@ -9,6 +9,7 @@ the five Gaussians below are kept in base64 with what it reads of them.
 from __future__ import annotations
 
 import base64
+import gzip
 import io
 import json
 import struct
@@ -21,10 +22,10 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
+from radiant_core.export.lod import META_NAME, save_lod
+from radiant_core.export.scene import save_spz
+from radiant_core.export.sog import save_sog, save_sog_folder
 from radiant_core.io import claimed_counts
-from radiant_core.io.export.lod import META_NAME, save_lod
-from radiant_core.io.export.scene import save_spz
-from radiant_core.io.export.sog import save_sog, save_sog_folder
 from radiant_core.io.lod_reader import load_lod_level
 from radiant_core.io.model_reader import SPZ_AXES, ModelKind, model_kind, read_model
 from radiant_core.io.ply import load_ply, save_ply
@@ -193,7 +194,48 @@ def test_our_own_spz_is_a_model_again_and_open3d_reads_the_same_places(tmp_path:
     assert o3d.t.io.read_point_cloud(path).point.positions.numpy() == pytest.approx(found.means, abs=1e-6)
 
 
+def first_spz(splats: Splats) -> bytes:
+    """SPZ of version 1, as Niantic's library reads it: halves for centres, else the bytes of version 2."""
+    quats = unit_quats(splats.quats) * np.where(unit_quats(splats.quats)[:, :1] < 0, -1, 1)
+    bytes_of = lambda values: np.clip(np.round(values), 0, 255).astype(np.uint8).tobytes()  # noqa: E731
+    parts = [
+        splats.means.astype("<f2").tobytes(),
+        bytes_of(255 / (1 + np.exp(-splats.logit_opacities))),
+        bytes_of(splats.sh0 * 0.15 * 255 + 127.5),
+        bytes_of((splats.log_scales + 10) * 16),
+        bytes_of(quats[:, 1:] * 127.5 + 127.5),
+        bytes_of(splats.shN * 128 + 128),
+    ]
+    return gzip.compress(struct.pack("<IIIBBBB", 0x5053474E, 1, len(splats), splats.sh_degree, 12, 0, 0) + b"".join(parts))
+
+
+def test_the_first_version_of_spz_has_halves_for_centres(tmp_path: Path) -> None:
+    (tmp_path / "a.spz").write_bytes(first_spz(FIVE))
+    found = read_model(tmp_path / "a.spz").splats
+    # Halves between 4 and 8 are 1/256 apart; xyz of a rotation has 8 bits, of which w is made.
+    steps = {"means": 1 / 512, "log_scales": 1 / 32 + 1e-6, "logit_opacities": 0.06, "sh0": 0.5 / 38.25 + 1e-6, "shN": 1 / 256 + 1e-6}
+    for name, tolerance in steps.items():
+        assert getattr(found, name) == pytest.approx(getattr(FIVE, name), abs=tolerance), name
+    assert np.abs((unit_quats(found.quats) * unit_quats(FIVE.quats)).sum(axis=1)).min() > 0.999
+    cut = gzip.compress(gzip.decompress(first_spz(FIVE))[:-1])
+    (tmp_path / "b.spz").write_bytes(cut)
+    with pytest.raises(BadInput, match="not as long as 5 Gaussians of degree 1"):
+        read_model(tmp_path / "b.spz")
+
+
 def every_kind(folder: Path) -> dict[Path, ModelKind]:
+    """A file of each kind, version and form that is taken, with five Gaussians."""
+    (folder / "i.spz").write_bytes(first_spz(FIVE))
+    save_spz(folder / "j.spz", FIVE, 3)
+    (folder / "k.compressed.ply").write_bytes(base64.b64decode(BY_SPLAT_TRANSFORM["c.compressed.ply"]))
+    camera, line = b"element camera 1\nproperty float fov\nproperty list uchar int used\n", b"0.5 2 7 8\n"
+    for name, form in (("l.ply", "ascii"), ("m.ply", "binary_big_endian"), ("n.ply", "binary_little_endian")):
+        rows = rows_of(5)
+        rows[:, 6:15] *= 0.1
+        write_rows(folder / name, rows, form, after=camera)
+        order = ">" if "big" in form else "<"
+        more = line if form == "ascii" else struct.pack(f"{order}fB2i", 0.5, 2, 7, 8)
+        (folder / name).write_bytes((folder / name).read_bytes() + more)
     save_ply(folder / "a.ply", FIVE)
     save_spz(folder / "b.spz", FIVE)
     save_spz(folder / "c.spz", FIVE, 4)
@@ -208,6 +250,7 @@ def every_kind(folder: Path) -> dict[Path, ModelKind]:
     (folder / "h.splat").write_bytes(rows.tobytes())
     kinds: dict[str, ModelKind] = {"a.ply": "ply", "b.spz": "spz", "c.spz": "spz", "d.sog": "sog", "e/meta.json": "sog"}
     kinds |= {"f/lod-meta.json": "lod", "g.safetensors": "safetensors", "h.splat": "splat"}
+    kinds |= {"i.spz": "spz", "j.spz": "spz", "k.compressed.ply": "ply", "l.ply": "ply", "m.ply": "ply", "n.ply": "ply"}
     return {folder / name: kind for name, kind in kinds.items()}
 
 

@@ -12,7 +12,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.folders import folders_warning, is_camera_folder, photograph_names, read_folder, unread_warning
 from radiant_core.io.photos.listing import list_photographs
-from radiant_core.io.waypoints.reader import exif_waypoints
+from radiant_core.waypoints.reader import exif_waypoints
 
 HAMLET = sorted((Path(__file__).parents[3] / "sample_scenes" / "hamlet" / "images").iterdir())
 

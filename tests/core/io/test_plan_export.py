@@ -16,11 +16,10 @@ from shapely.geometry.base import BaseGeometry
 
 from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
+from radiant_core.export.plan import CSV_HEADER, land_features, save_device_waypoints, save_regions_geojson
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.georef.crs import parse_crs
 from radiant_core.io.csv_cells import cell_of_text, text_of_cell
-from radiant_core.io.export.plan import CSV_HEADER, land_features, save_device_waypoints, save_regions_geojson
-from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.plan.borders.buffers import EdgeBuffer
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.heights import HeightLimits
@@ -28,6 +27,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.waypoints import Waypoints
+from radiant_core.waypoints.reader import read_waypoints
 from tests.core.plan.instances import random_system
 
 Planned = tuple[Waypoints, CloudPlan, tuple[EdgePlan, ...]]

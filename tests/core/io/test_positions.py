@@ -24,8 +24,8 @@ from radiant_core.io.photos.facts import file_facts, read_exif_of
 from radiant_core.io.photos.jpeg import join_facts
 from radiant_core.io.photos.listing import MAX_FILE_BYTES, doubts_warning, list_photographs, photograph_positions
 from radiant_core.io.photos.xmp_position import xmp_position
-from radiant_core.io.waypoints.reader import exif_waypoints
 from radiant_core.sfm.colmap.workspace import warn_of_unused
+from radiant_core.waypoints.reader import exif_waypoints
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
 ZURICH = (47.0 + 22.1234 / 60, 8.0 + 32.5 / 60, 455.5)

@@ -13,7 +13,7 @@ import pycolmap
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.export.projects import ProjectPhotographs, save_colmap_project, save_nerfstudio_project
+from radiant_core.export.projects import ProjectPhotographs, save_colmap_project, save_nerfstudio_project
 from radiant_core.io.photos.masks import mask_name, save_mask
 from radiant_core.scene import SfmScene
 from tests.core.io.test_scene_export import seen_scene

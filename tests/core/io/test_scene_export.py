@@ -13,8 +13,8 @@ from shapely.geometry import Point, shape
 
 from radiant_core.choices import SpzVersion
 from radiant_core.errors import BadInput
+from radiant_core.export.scene import colmap_model, save_scene_geojson, save_spz
 from radiant_core.frames import Frame, enu_from_geodetic
-from radiant_core.io.export.scene import colmap_model, save_scene_geojson, save_spz
 from radiant_core.io.model_reader import read_model
 from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
 from radiant_core.io.ply import save_ply

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.export import sog
-from radiant_core.io.export.sog import BEYOND_USUAL, SIZE_POWER, USUAL_SHARE, save_sog
+from radiant_core.export import sog
+from radiant_core.export.sog import BEYOND_USUAL, SIZE_POWER, USUAL_SHARE, save_sog
 from radiant_core.splats import Splats, morton_order
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from radiant_core.choices import GzipSpzVersion
 from radiant_core.errors import BadInput
-from radiant_core.io.export.scene import save_spz
+from radiant_core.export.scene import save_spz
 from radiant_core.io.spz import fraction_bits_for, gzip_spz_bytes, splats_from_gzip_spz
 from radiant_core.lod.merging import covariances
 from tests.core.lod.test_merging import made_up

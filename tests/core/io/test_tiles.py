@@ -13,9 +13,9 @@ import pytest
 
 from radiant_core.choices import TileContent
 from radiant_core.errors import BadInput
+from radiant_core.export.glb import COMPRESSION, EXTENSION, glb_bytes
+from radiant_core.export.tiles import TileOptions, save_tiles
 from radiant_core.frames import Frame, ecef_from_local, geodetic_from_enu
-from radiant_core.io.export.glb import COMPRESSION, EXTENSION, glb_bytes
-from radiant_core.io.export.tiles import TileOptions, save_tiles
 from radiant_core.lod.levels import LodLimits
 from radiant_core.lod.merging import covariances
 from radiant_core.numerics import rotmats_from_quats

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
 from radiant_core.errors import BadInput
-from radiant_core.io.export.usd import SUFFIXES, ellipsoid_extent, save_usd
+from radiant_core.export.usd import SUFFIXES, ellipsoid_extent, save_usd
 from radiant_core.splats import SH_BASES, Splats
 from tests.core.io.test_sog import model
 

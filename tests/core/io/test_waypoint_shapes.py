@@ -10,7 +10,7 @@ import pytest
 from pyproj import Transformer
 
 from radiant_core.errors import BadInput
-from radiant_core.io.waypoints.reader import read_waypoints
+from radiant_core.waypoints.reader import read_waypoints
 from tests.core.io.waypoint_files import assert_rows, kml, kml_text, placemark, written
 
 

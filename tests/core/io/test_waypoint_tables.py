@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.waypoints.reader import read_waypoints
+from radiant_core.waypoints.reader import read_waypoints
 from tests.core.io.waypoint_files import assert_rows, csv_text, written
 
 CSV_POISON = [

@@ -13,8 +13,8 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.listing import list_photographs
-from radiant_core.io.waypoints import reader as waypoints
-from radiant_core.io.waypoints.reader import MAX_FILE_BYTES, exif_waypoints, read_waypoints
+from radiant_core.waypoints import reader as waypoints
+from radiant_core.waypoints.reader import MAX_FILE_BYTES, exif_waypoints, read_waypoints
 from tests.core.io.waypoint_files import GOOD, assert_rows, csv_text, written
 
 HAMLET = Path(__file__).parents[3] / "sample_scenes" / "hamlet" / "images"

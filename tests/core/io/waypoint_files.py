@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_core.io.waypoints.reader import read_waypoints
+from radiant_core.waypoints.reader import read_waypoints
 
 ROWS = [("A 1", 47.37, 8.54, 430.0), ("Zürich ✈", 47.3701, 8.5402, 431.5), ('b,"c"', 47.3702, 8.5399, -2.25)]
 

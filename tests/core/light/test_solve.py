@@ -13,7 +13,14 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.light import solve
 from radiant_core.light.lights import NUM_TERMS, Lights, cameras_alike, in_canonical_light
-from radiant_core.light.solve import MIN_SHARED, Observations, lights_from_model, lights_from_tracks, solve_lights
+from radiant_core.light.solve import (
+    MIN_SHARED,
+    Observations,
+    lights_from_model,
+    lights_from_tracks,
+    lights_if_they_differ,
+    solve_lights,
+)
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.train.views import TrainingViews
@@ -188,6 +195,22 @@ def test_photographs_of_one_ground_give_their_gains_and_are_alike_in_canonical_l
     after = [np.abs(image / 255 - truth).mean() for image, truth in zip(level.images, plain, strict=True)]
     assert np.mean(after) < 0.25 * np.mean(before)
     assert all(image.dtype == np.uint8 for image in level.images) and level.cameras is views.cameras
+
+
+def test_some_points_tell_that_light_is_alike_and_all_are_asked_where_it_differs(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, views, _, plain = uneven_scene()
+    alike = replace(views, images=tuple(np.clip(255 * image, 0, 255).round().astype(np.uint8) for image in plain))
+    solved: list[int] = []
+    whole = solve.solve_lights
+    monkeypatch.setattr(solve, "solve_lights", lambda observed, *rest: solved.append(len(observed.view)) or whole(observed, *rest))
+    some, every = lights_if_they_differ(scene, alike), lights_from_tracks(scene, alike)
+    assert 2 * solved[0] < solved[1] and len(solved) == 2
+    assert some.regime.row == every.regime.row == "light-alike" and some.spread < 0.01 and some.known.all()
+    solved.clear()
+    different = lights_if_they_differ(scene, views)
+    assert len(solved) == 2 and 2 * solved[0] < solved[1]
+    np.testing.assert_array_equal(different.log_gains, lights_from_tracks(scene, views).log_gains)
+    assert different.is_worth_modelling
 
 
 def test_a_model_tells_the_light_of_photographs_beside_its_own() -> None:

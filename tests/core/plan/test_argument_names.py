@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.simulate import BandwidthTrace, fleet_of, simulate
 from radiant_core.errors import BadInput
 from radiant_core.plan.borders.buffers import BufferRule, plan_buffers
 from radiant_core.plan.borders.footprints import Footprints, RegionShares, Views, region_shares
@@ -28,7 +29,6 @@ from radiant_core.plan.regions.transport import deal_with_counts
 from radiant_core.plan.revision.assigned import assigned_plan
 from radiant_core.plan.revision.captured import find_captured_elsewhere, plan_captured, plan_of_owners
 from radiant_core.plan.revision.replan import FleetChange, replan
-from radiant_core.plan.timeline.simulate import BandwidthTrace, fleet_of, simulate
 from radiant_core.plan.waypoints import Waypoints
 
 from .instances import linear_system

@@ -81,7 +81,7 @@ def test_an_estimate_and_another_training_are_said_once_for_all_their_devices() 
     assert (
         "preset standard, 30,000 steps" in found[1]
         and "preset default, 1,500 steps at 576 px" in found[1]
-        and "radiant profile" in found[1]
+        and "radiant machine profile" in found[1]
     )
 
 
@@ -138,12 +138,12 @@ def test_sizes_a_tenth_apart_train_alike_and_measured_steps_are_some_of_the_prof
 def test_every_warning_in_full() -> None:
     estimate = replace(MEASURED, name="gpu", kind="estimate", machine="some GPU")
     (one,) = profile_warnings(system(estimate), [10], KEY)
-    assert one == "the times of device d0 are estimates for some GPU, never measured: run `radiant profile` there."
+    assert one == "the times of device d0 are estimates for some GPU, never measured: run `radiant machine profile` there."
     scaled = replace(MEASURED, measured_steps=749)
     (two,) = profile_warnings(system(scaled), [10], KEY)
     assert two == (
         f"the times of device d0, profile {MEASURED.name!r}, were measured over 749 steps and multiplied up to 1,500: "
-        "give `radiant profile` more --time for better ones."
+        "give `radiant machine profile` more --time for better ones."
     )
     assert len(profile_warnings(system(*[estimate] * 4), [10] * 4, KEY)) == 1
     assert "devices d0, d1, d2, d3 are" in profile_warnings(system(*[estimate] * 4), [10] * 4, KEY)[0]

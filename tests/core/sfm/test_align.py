@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
-from radiant_core.sfm.world_frame.align import compare_centers, fit_sim3, robust_sim3
+from radiant_core.geometry.align import compare_centers, fit_sim3, robust_sim3
 
 
 def some_sim3(rng: np.random.Generator) -> Sim3:

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from radiant_core.frames import enu_change
+from radiant_core.geometry.align import compare_centers
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.photos.gps import ALTITUDE, LATITUDE
 from radiant_core.io.photos.jpeg import GPS_POINTER, read_jpeg_facts
 from radiant_core.io.photos.listing import list_photographs
-from radiant_core.io.waypoints.reader import exif_waypoints
 from radiant_core.sfm.colmap.pairs import choose_pairs
 from radiant_core.sfm.config import SfmConfig, SfmResult
 from radiant_core.sfm.reconstruct import scene_from_colmap
-from radiant_core.sfm.world_frame.align import compare_centers
 from radiant_core.sfm.world_frame.world import cameras_of
+from radiant_core.waypoints.reader import exif_waypoints
 
 UNUSED_TAG = 0xEEEE
 Change = Callable[[bytearray, int, int], None]

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
+from radiant_core.geometry.align import compare_centers
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.photos.jpeg import kept_segments
 from radiant_core.io.photos.listing import CameraKey, Photograph
 from radiant_core.sfm.colmap.lenses import DIAGONAL_35MM, Lenses, group_by_lens, initial_focal_px
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.reconstruct import reconstruct
-from radiant_core.sfm.world_frame.align import compare_centers
 from radiant_core.sfm.world_frame.world import cameras_of
 
 DRONE = {"make": "Maker", "model": "Drone", "focal_mm": 8.8, "focal_35mm": 24.0, "size_wh": (4000, 3000)}

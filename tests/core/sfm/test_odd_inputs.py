@@ -21,9 +21,9 @@ from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.text import write_model
 from radiant_core.io.photos.listing import list_photographs, load_photograph, photograph_positions
 from radiant_core.io.photos.masks import alpha_mask, pixel_weights
-from radiant_core.io.waypoints.reader import exif_waypoints
 from radiant_core.sfm.colmap.workspace import warn_of_unused
 from radiant_core.sfm.reconstruct import scene_from_colmap
+from radiant_core.waypoints.reader import exif_waypoints
 
 
 def test_a_strip_is_skipped_by_name(hamlet: Path, tmp_path: Path) -> None:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.georef.crs import parse_crs
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.photos.masks import save_mask
 from radiant_core.sfm.config import SfmResult
 from radiant_core.sfm.given_poses import Where, read_given_poses
 from radiant_core.sfm.pose_project import Alignment, scene_from_alignment
-from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.survey.map_grid import map_frame_of
 from tests.colmap_projects import quiet

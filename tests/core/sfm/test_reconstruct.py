@@ -13,6 +13,7 @@ import torch
 from scipy.spatial import KDTree
 
 from radiant_core.errors import BadInput
+from radiant_core.geometry.align import compare_centers
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.text import write_model
 from radiant_core.scene import SfmScene
@@ -20,7 +21,6 @@ from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.config import SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
 from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
-from radiant_core.sfm.world_frame.align import compare_centers
 from radiant_core.sfm.world_frame.world import cameras_of
 
 QUICK = SfmConfig(max_image_size_px=640, max_num_features=1500, num_threads=2)

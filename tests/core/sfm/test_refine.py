@@ -6,10 +6,10 @@ import numpy as np
 import pycolmap
 import pytest
 
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.numerics import FloatArray
 from radiant_core.sfm.colmap.refine import refine
 from radiant_core.sfm.config import SfmConfig, SfmProgress
-from radiant_core.sfm.world_frame.align import fit_sim3
 
 FOCAL_PX = 500.0
 CONFIG = SfmConfig(num_threads=1)

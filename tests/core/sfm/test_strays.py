@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from radiant_core.decisions import Decision
+from radiant_core.geometry.align import compare_centers
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.photos.listing import Photograph, list_photographs
 from radiant_core.sfm import attempts
@@ -23,7 +24,6 @@ from radiant_core.sfm.colmap.pairs import Pairs
 from radiant_core.sfm.colmap.strays import agreeing_matches, contradicted, remove, without_strays
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
 from radiant_core.sfm.reconstruct import reconstruct
-from radiant_core.sfm.world_frame.align import compare_centers
 from radiant_core.sfm.world_frame.world import cameras_of
 
 QUICK = SfmConfig(max_image_size_px=640, max_num_features=1500, num_threads=1)

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
+from radiant_core.geometry.align import robust_sim3
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.photos.listing import list_photographs
 from radiant_core.numerics import FloatArray
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.pairs import gps_positions
-from radiant_core.sfm.world_frame.align import robust_sim3
 from radiant_core.sfm.world_frame.up import DOWN, GROUND, UpEstimate, estimate_up
 from radiant_core.sfm.world_frame.world import cameras_of, scene_in_world
 from tests.core.sfm.test_world import looking

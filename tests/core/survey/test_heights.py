@@ -12,9 +12,9 @@ import pytest
 import trimesh
 
 from radiant_core.errors import BadInput
+from radiant_core.export.mesh_glb import save_glb
+from radiant_core.export.point_cloud import GROUND, save_laz
 from radiant_core.frames import Frame
-from radiant_core.io.export.mesh_glb import save_glb
-from radiant_core.io.export.point_cloud import GROUND, save_laz
 from radiant_core.survey.geojson import coordinates_of, polygon_feature
 from radiant_core.survey.height_mesh import height_mesh
 from radiant_core.survey.heights import FILLED, MEASURED, UNKNOWN, HeightMap, filled, height_map, push_pull

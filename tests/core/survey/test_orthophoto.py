@@ -13,9 +13,9 @@ from rasterio.enums import ColorInterp
 from scipy.spatial.transform import Rotation
 
 from radiant_core.errors import BadInput, CannotWrite
+from radiant_core.export.geotiff import TiledRaster, cut_tiles, save_tiles
 from radiant_core.frames import Frame
 from radiant_core.geometry.support import Support
-from radiant_core.io.export.geotiff import TiledRaster, cut_tiles, save_tiles
 from radiant_core.splats import SH_C0, Splats
 from radiant_core.survey.map_grid import MapGrid, grid_over, map_frame_of
 from radiant_core.survey.orthophoto import SeenSplats, _render, from_above, ortho_camera, ortho_tiles, render_tile

@@ -15,6 +15,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.regimes import Regime
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.few import Choice, Trial
+from radiant_core.train.fill_in import fill_in_points
 from radiant_core.train.gates import FEWEST_STEPS, LONG_SIDE_PX, MOST_SHARE, MOST_STEPS, Gate, choose_helpers, open_gates, trial_size
 from tests.core.train.test_fill_in import ball_before_a_wall, flat_scene
 from tests.core.train.test_needs import scene_of
@@ -42,7 +43,7 @@ class Trainings:
 
 def chosen(trainings: Trainings, config: TrainConfig = LONG) -> Choice:
     scene, views = ball_before_a_wall()
-    return choose_helpers(*open_gates(config, scene, views), views, trainings)
+    return choose_helpers(*open_gates(config, fill_in_points(scene, views), views), views, trainings)
 
 
 @pytest.mark.parametrize(("with_db", "without_db", "expected"), [(24.0, 23.5, True), (23.5, 24.0, False), (23.9, 23.8, False)])
@@ -105,7 +106,7 @@ def test_several_helpers_share_the_training_with_all_of_them() -> None:
 
 def test_over_ground_nobody_is_asked() -> None:
     scene, views = flat_scene(half_side_m=0.7)
-    config, gates = open_gates(LONG, scene, views)
+    config, gates = open_gates(LONG, fill_in_points(scene, views), views)
     assert config.fill_in is True and not gates and choose_helpers(config, gates, views, Trainings({})).decisions == ()
 
 
@@ -115,7 +116,7 @@ def test_points_that_most_photographs_contradict_are_left_out_untried() -> None:
     colors = np.random.default_rng(0).integers(0, 255, (len(views), 3))
     views = replace(views, images=tuple(np.broadcast_to(color, (60, 80, 3)).astype(np.uint8) for color in colors))
     trainings = Trainings({})
-    choice = choose_helpers(*open_gates(LONG, scene, views), views, trainings)
+    choice = choose_helpers(*open_gates(LONG, fill_in_points(scene, views), views), views, trainings)
     (decision,) = choice.decisions
     assert choice.config.fill_in is False and not trainings.asked and decision.row == "filled-where-nothing-is"
     assert decision.figure is not None and decision.figure > 60 and decision.otherwise == "--set train.fill_in=true"
@@ -124,7 +125,8 @@ def test_points_that_most_photographs_contradict_are_left_out_untried() -> None:
 @pytest.mark.parametrize("forced", [True, False])
 def test_what_is_set_is_not_asked(forced: bool) -> None:
     config = with_settings(LONG, {"fill_in": str(forced).lower()})
-    assert config.fill_in is forced and open_gates(config, *ball_before_a_wall()) == (config, ())
+    scene, views = ball_before_a_wall()
+    assert config.fill_in is forced and open_gates(config, fill_in_points(scene, views), views) == (config, ())
 
 
 def test_trials_together_take_at_most_their_share() -> None:

@@ -10,7 +10,7 @@ from typing import get_args
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.messages import message_of, message_record
+from radiant_core.hierarchy.codec import message_of, message_record
 from radiant_core.train.config import Preset, TrainConfig, setting_types, train_preset, with_settings
 from radiant_core.train.densify.policies import Adc, DensityKind, Mcmc, NoDensification
 

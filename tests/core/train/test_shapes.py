@@ -21,7 +21,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.densify.policies import NoDensification
-from radiant_core.train.shapes import limit_shapes, without_dead
+from radiant_core.train.shapes import limit_shapes, with_needle_width, without_dead
 from radiant_core.train.trainer import FitOptions, Training, fit_splats
 from tests.core.scenes import ground_splats
 from tests.core.train.test_trainer import CAMERAS, CONFIG, grey_start, photographs
@@ -39,6 +39,20 @@ def test_a_needle_is_cut_to_its_limit_and_a_disc_is_none() -> None:
     expected = [(0.2, 0.01, 0.02), (0.01, 0.2, 0.2), (0.1, 1e-20, 0.01), (0.02, 0.02, 0.02)]
     np.testing.assert_allclose(np.exp(splats.log_scales.numpy().astype(np.float64)), expected, rtol=1e-5)
     assert (counts.num_needles, counts.num_screen_filling, counts.num_dead) == (1, 0, 0)
+
+
+def test_what_is_thinner_than_a_pixel_counts_as_a_pixel_wide() -> None:
+    """A needle a tenth of a pixel wide may be ten pixels long, one that is two pixels wide twenty."""
+    center = CAMERAS.centers[0]
+    config = with_needle_width(replace(train_preset("default"), max_scale_per_distance=None), CAMERAS)
+    assert config.needle_width_per_distance == pytest.approx(1 / np.median(CAMERAS.Ks[:, 0, 0]))
+    assert with_needle_width(replace(config, needle_width_per_distance=0.0), CAMERAS).needle_width_per_distance == 0
+    depth_m = 3.0
+    pixel_m = depth_m * float(config.needle_width_per_distance)
+    splats = axes((50 * pixel_m, 0.1 * pixel_m, 0.1 * pixel_m), (50 * pixel_m, 2 * pixel_m, 0.1 * pixel_m), (9 * pixel_m, 1e-9, 1e-9))
+    splats = replace(splats, means=torch.tensor(center - np.array([0.0, 0.0, depth_m]), dtype=torch.float32).expand(3, 3).contiguous())
+    assert limit_shapes(splats, center[None], config).num_needles == 2
+    np.testing.assert_allclose(np.exp(splats.log_scales.numpy().astype(np.float64))[:, 0] / pixel_m, [10, 20, 9], rtol=1e-4)
 
 
 def test_what_fills_the_screen_is_counted_and_no_limit_leaves_all_bits() -> None:

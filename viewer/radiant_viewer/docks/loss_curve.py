@@ -13,7 +13,8 @@ from radiant_viewer.runs.run_feeds import LossCurve
 SIZE_WH = (260, 110)
 LEFT_PX, BELOW_PX, TOP_PX = 54, 16, 6
 SHOWN = 6
-"""Curves of the stages that began last: more cannot be told apart, nor black on dark."""
+"""Curves of the stages that began last: more cannot be told apart at this size, nor black on
+dark."""
 
 
 class LossWidget(QWidget):

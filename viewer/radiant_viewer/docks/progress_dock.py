@@ -187,7 +187,13 @@ def _summary(progress: RunProgress) -> str:
     if progress.expected:
         finished = f"{len(done & set(progress.expected))} of {len(progress.expected)} stages finished"
     parts = [f"Run {progress.status or 'unknown'}", finished]
-    if progress.is_running and progress.seconds_left is not None:
+    whole = progress.whole
+    if progress.is_running and whole is not None:
+        parts[1] = f"{whole.phase}, {whole.number} of {whole.num_phases}"
+        if whole.left_s is not None:
+            off = "" if whole.off_percent is None else f" ± {whole.off_percent:.0f} %"
+            parts.append(f"about {duration_text(max(1, round(whole.left_s)))}{off} left")
+    elif progress.is_running and progress.seconds_left is not None:
         parts.append(f"devices and edges: about {duration_text(max(1, round(progress.seconds_left)))} left")
     if progress.warnings:
         parts.append(f"{len(progress.warnings)} warning{'s' * (len(progress.warnings) > 1)}")

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from radiant_core.errors import BadInput
+from radiant_core.export.plan import save_device_waypoints, save_regions_geojson
 from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
-from radiant_core.io.export.plan import save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.run_store import write_atomic
 from radiant_core.numerics import FloatArray

@@ -33,7 +33,8 @@ ADDS, TAKES = QColor(255, 140, 0), QColor(60, 170, 255)
 
 
 class SelectTool(QObject):
-    """`strokes` of the selection so far, and the Gaussians that are `chosen`; `changed` after each."""
+    """`strokes` of the selection so far, and which Gaussians they `chosen`; `changed` after
+    each."""
 
     changed = Signal()
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
+from radiant_core.geometry.cleaning_file import cleaning_path
 from radiant_core.georef.crs import parse_crs
-from radiant_core.io.cleaning_file import cleaning_path
 from radiant_core.io.map_picture import MapPicture, load_map_picture
 from radiant_core.survey.map_grid import MapFrame
 from radiant_viewer.layers.layer import Layer, LayerPicture, LegendEntry

@@ -7,7 +7,7 @@ that would cover each other or leave the drawing are moved, and the less importa
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,6 +27,8 @@ from radiant_viewer.pictures.measure import scale_bar_length
 DPI = 100
 PANEL_PX, TITLE_PX, LEFT_PX, BOTTOM_PX, GAP_PX = 310, 62, 76, 58, 16
 MIN_SIZE_WH = (640, 420)
+PHONE_SIZE_WH, PHONE_LEGEND_PX, PHONE_LEFT_PX = (390, 680), 250, 62
+"""A page for a phone, narrower than `MIN_SIZE_WH`, has its legend below the drawing."""
 LINE_PX = 21
 """Height of one line of the legend."""
 LABEL_STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0.6, 1), (-0.6, 1), (0.6, -1), (-0.6, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))
@@ -47,7 +49,10 @@ class PageText:
 
 
 def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool) -> tuple[int, int]:
-    """Return the px that a page of `size_wh` leaves for the drawing; BadInput for a small page."""
+    """Return the px that a page of `size_wh` leaves for the drawing; BadInput for a small page that
+    is not `PHONE_SIZE_WH`."""
+    if size_wh == PHONE_SIZE_WH:
+        return size_wh[0] - PHONE_LEFT_PX - GAP_PX, size_wh[1] - TITLE_PX - BOTTOM_PX - PHONE_LEGEND_PX
     if size_wh[0] < MIN_SIZE_WH[0] or size_wh[1] < MIN_SIZE_WH[1]:
         raise BadInput(f"a page of {size_wh[0]} × {size_wh[1]} px was asked for, expected at least {MIN_SIZE_WH[0]} × {MIN_SIZE_WH[1]}.")
     left, bottom = (LEFT_PX, BOTTOM_PX) if is_map else (GAP_PX, GAP_PX)
@@ -59,10 +64,13 @@ def compose_page(drawing: Drawing, layers: Sequence[Layer], size_wh: tuple[int, 
     figure = new_figure(size_wh)
     height, width = drawing.image.shape[:2]
     left, bottom = (LEFT_PX, BOTTOM_PX) if drawing.extent is not None else (GAP_PX, GAP_PX)
+    if is_phone := size_wh == PHONE_SIZE_WH:
+        left, bottom = PHONE_LEFT_PX, BOTTOM_PX + PHONE_LEGEND_PX
     axes = axes_at(figure, (left, bottom, width, height))
     axes.imshow(drawing.image, extent=(0, width, height, 0), interpolation="none", aspect="auto")
     axes.set(xlim=(0, width), ylim=(height, 0))
-    _add_title(figure, text, left)
+    # On a phone the line below the title would be too small to be read.
+    _add_title(figure, replace(text, subtitle="") if is_phone else text, left)
     taken: list[Bbox] = []
     if drawing.extent is not None:
         _label_axes(axes, drawing.extent, text.unit)
@@ -70,7 +78,7 @@ def compose_page(drawing: Drawing, layers: Sequence[Layer], size_wh: tuple[int, 
     else:
         axes.set_axis_off()
     _add_labels(axes, drawing, layers, taken)
-    _add_legend(figure, layers, height + bottom)
+    _add_legend(figure, layers, (0, PHONE_LEGEND_PX) if is_phone else (size_wh[0] - PANEL_PX, height + bottom))
     return figure_image(figure)
 
 
@@ -214,10 +222,11 @@ def _find_free_place(
     return best
 
 
-def _add_legend(figure: Figure, layers: Sequence[Layer], top_px: float) -> None:
-    """Draw the legend at the right, a heading per layer; entries beyond the space are counted."""
-    width, _ = figure.get_size_inches() * DPI
-    axes = axes_at(figure, (width - PANEL_PX, 0, PANEL_PX, top_px))
+def _add_legend(figure: Figure, layers: Sequence[Layer], corner_px: tuple[float, float]) -> None:
+    """Draw the legend below an upper left corner, px from the page's lower left one, a heading per
+    layer; entries beyond the space are counted."""
+    left_px, top_px = corner_px
+    axes = axes_at(figure, (left_px, 0, PANEL_PX, top_px))
     axes.set(xlim=(0, PANEL_PX), ylim=(top_px, 0))
     axes.set_axis_off()
     y = 8.0

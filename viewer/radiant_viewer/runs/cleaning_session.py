@@ -11,7 +11,7 @@ from pathlib import Path
 
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Cleaning, CleaningStep, Surroundings, keeps
-from radiant_core.io.cleaning_file import cleaning_path, load_cleaning, save_cleaning
+from radiant_core.geometry.cleaning_file import cleaning_path, load_cleaning, save_cleaning
 from radiant_core.io.ply import save_ply
 from radiant_viewer.runs.cleaned_model import CleanedModel, cleaned_model
 

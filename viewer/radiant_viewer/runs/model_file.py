@@ -7,7 +7,7 @@ from pathlib import Path
 
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import Cleaning, Surroundings
-from radiant_core.io.cleaning_file import cleaning_path, load_cleaning
+from radiant_core.geometry.cleaning_file import cleaning_path, load_cleaning
 from radiant_core.io.model_reader import read_model
 from radiant_core.io.ply import load_ply
 from radiant_viewer.runs.cleaned_model import CleanedModel, cleaned_model

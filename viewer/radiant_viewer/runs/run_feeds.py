@@ -35,6 +35,26 @@ class StageState:
 
 
 @dataclass(frozen=True, kw_only=True)
+class WholeRunState:
+    """How far a whole run was when it was told last: its phase, by name and by number from 1, and
+    the seconds left of all; `off_percent`: about what such estimates were off by where they were
+    measured."""
+
+    phase: str
+    number: int
+    num_phases: int
+    elapsed_s: float
+    left_s: float | None = None
+    """None: nothing is foreseen yet."""
+    off_percent: float | None = None
+
+    @property
+    def share(self) -> float | None:
+        """Of the run's time, what has passed, 0 to 1; 1 once its report stands."""
+        return None if self.left_s is None else self.elapsed_s / max(self.elapsed_s + self.left_s, 1e-9)
+
+
+@dataclass(frozen=True, kw_only=True)
 class LossCurve:
     """The loss of a stage: (share of it that is done, loss), as far as it was told."""
 
@@ -51,6 +71,8 @@ class RunProgress:
     """Names of all stages of the run; empty if unknown."""
     warnings: tuple[str, ...] = ()
     seconds_left: float | None = None
+    whole: WholeRunState | None = None
+    """None: an earlier version runs it."""
     is_running: bool = False
     """Whether the run is running; False once it ended, however it ended."""
     status: str = ""
@@ -70,7 +92,7 @@ def no_rows() -> Sequence[GanttRow]:
 @dataclass(frozen=True, kw_only=True)
 class SurveyCommands:
     """Command lines of the application that a window runs in processes of their own: `measuring`
-    answers requests about measures (`radiant_app.commands.measure_worker`), `ortho` of a path
+    answers requests about measures (`radiant_app.commands.survey.worker`), `ortho` of a path
     writes the orthophoto there."""
 
     measuring: tuple[str, ...]

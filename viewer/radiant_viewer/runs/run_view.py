@@ -18,8 +18,8 @@ import numpy as np
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.geometry.cleaning import Cleaning
+from radiant_core.geometry.cleaning_file import CLEANING_NAME, cleaning_path, load_cleaning
 from radiant_core.geometry.support import Support
-from radiant_core.io.cleaning_file import CLEANING_NAME, cleaning_path, load_cleaning
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json, stays_inside
@@ -122,7 +122,7 @@ def load_run_view(folder: Path, *, with_files: bool = False, as_trained: bool = 
     if folder.is_file():
         raise BadInput(
             f"{folder} is a file, and the folder of a run is needed here: a model alone is opened by 'radiant inspect' without --web, "
-            "'radiant view' and 'radiant render'."
+            "'radiant inspect --page' and 'radiant render'."
         )
     if not folder.is_dir():
         raise BadInput(f"there is neither a folder nor a file {folder}: name the folder that 'radiant run --out' made, or a model's file.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from radiant_core.io.cleaning_file import cleaning_path
+from radiant_core.geometry.cleaning_file import cleaning_path
 
 SENT_PAGES = ("report.html", "scene.html")
 

@@ -21,22 +21,26 @@ import cv2
 import numpy as np
 
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.export.lod import META_NAME, LodFigures, save_lod
-from radiant_core.io.export.sog import sog_files, zipped
+from radiant_core.export.lod import META_NAME, LodFigures, save_lod
+from radiant_core.export.sog import sog_files, zipped
 from radiant_core.io.run_store import atomic_writer, read_bounded, write_atomic
 from radiant_core.lod.cells import LodRegion
 from radiant_core.lod.levels import LodLimits
 from radiant_core.splats import Splats, morton_order
+from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView, comparison_paths
 from radiant_viewer.runs.shown_model import shown_of_run
 from radiant_viewer.share.scene_page import (
     PagePlace,
+    PageScale,
+    listed_places,
     overview,
     run_borders,
     run_layers_of_page,
     run_overview,
     run_places,
     settings,
+    weak_view,
     worst_photographs,
 )
 from radiant_viewer.share.vendored import LICENSES, SCRIPT, STYLE, viewer_files
@@ -62,13 +66,14 @@ class ScenePage:
     about: str = ""
     places: Sequence[PagePlace] = ()
     layers: Sequence[dict[str, Any]] = ()
+    scale: PageScale = field(default_factory=PageScale)
     pairs: Sequence[tuple[str, str, bytes, bytes]] = field(default=(), repr=False)
     """Title, text, and JPEGs of photograph and render."""
 
 
-def page_of_run(run: RunView, *, with_photographs: bool, with_surroundings: bool = False) -> ScenePage:
-    """The page of a run's model, without what lies around the scene unless wanted; BadInput where
-    there is no model yet."""
+def page_of_run(run: RunView, *, with_photographs: bool, with_surroundings: bool = False, scale: PageScale | None = None) -> ScenePage:
+    """The page of a run's model, without what lies around the scene unless wanted; `scale`: how
+    well its lengths are known, None: not said. BadInput where there is no model yet."""
     from radiant_viewer.runs.run_view import require_splats
 
     splats, borders = require_splats(run), run_borders(run)
@@ -83,6 +88,7 @@ def page_of_run(run: RunView, *, with_photographs: bool, with_surroundings: bool
         about=f"{len(splats):,} Gaussians{hidden}",
         places=run_places(run, borders),
         layers=run_layers_of_page(run, borders),
+        scale=scale or PageScale(unit=run.unit, said="", ground=ground_height(run.scene)),
         pairs=_pairs(run) if with_photographs else (),
     )
 
@@ -159,6 +165,8 @@ def _scene(page: ScenePage, content: str, comparisons: list[dict[str, str]]) -> 
         "content": content,
         "antialiased": page.splats.antialiased,
         "settings": settings(page.start, page.places),
+        "places": listed_places(page.places),
+        "measure": page.scale.record(),
         "layers": list(page.layers),
         "comparisons": comparisons,
     }
@@ -166,7 +174,7 @@ def _scene(page: ScenePage, content: str, comparisons: list[dict[str, str]]) -> 
 
 def _pairs(run: RunView) -> list[tuple[str, str, bytes, bytes]]:
     pairs = []
-    for name in worst_photographs(run):
+    for number, name in enumerate(worst_photographs(run)):
         try:
             photograph, render, _ = comparison_paths(run, name)
         except StoreDamaged:
@@ -174,7 +182,7 @@ def _pairs(run: RunView) -> list[tuple[str, str, bytes, bytes]]:
         except BadInput:
             # The pictures of this one stayed elsewhere, or the run keeps none.
             continue
-        pairs.append((name, f"{run.placed_psnr_db[name]:.1f} dB", _jpeg(photograph), _jpeg(render)))
+        pairs.append((*weak_view(number, name, run.placed_psnr_db[name]), _jpeg(photograph), _jpeg(render)))
     return pairs
 
 

@@ -7,8 +7,8 @@ only the model, and regions and borders under numbers.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from radiant_core.numerics import FloatArray
 from radiant_viewer.layers.palette import category_colors, rgb
 from radiant_viewer.pictures.view_pose import ViewPose, camera_pose
+from radiant_viewer.runs.bookmarks import Bookmarks
 from radiant_viewer.runs.border_figures import VISIBLE_LEVELS, BorderFigures, border_figures
 from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
@@ -28,6 +29,10 @@ MAX_CAMERAS = 2000
 """Frusta drawn; of more, evenly many."""
 FRUSTUM_SHARE = 0.02
 """Length of a frustum as a share of the diagonal of the cameras' box."""
+PLACES, WEAK = "Places", "Where to look twice"
+"""Headings of places."""
+ABOVE_DEG = 89.0
+"""Elevation of the view from above: straight down no direction is up."""
 OVERVIEW_ELEVATION_DEG, OVERVIEW_ANGLE_DEG = 35.0, 36.0
 BORDER_COLOR, CAMERA_COLOR, CALM_COLOR, STEP_COLOR = "#ffffff", "#f0e442", "#56b4e9", "#d55e00"
 _PAGE_FROM_WORLD = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -42,16 +47,41 @@ class PagePlace:
     text: str
     view: ViewPose
     aspect: float = 16 / 9
+    group: str = PLACES
+    """The heading that it stands under."""
+    marked: bool = True
+    """Whether a number stands over the model where it is."""
 
 
-def overview(low: FloatArray, high: FloatArray) -> PagePlace:
+@dataclass(frozen=True, kw_only=True)
+class PageScale:
+    """What lengths on a page are in, and how well they are known.
+
+    unit: "m" or "units"; scale_sigma: σ of the scale as a share; place_sigma: σ of a place that is
+    pointed at along each axis, in the unit; said: what there is to say of it; ground: height of the
+    ground in the scene, along which the scale bar lies.
+    """
+
+    unit: str = "units"
+    scale_sigma: float = 0.0
+    place_sigma: float = 0.0
+    said: str = "lengths in the model's own units"
+    ground: float = 0.0
+
+    def record(self) -> dict[str, Any]:
+        """As the page has it."""
+        sigmas = {"scaleSigma": round(self.scale_sigma, 9), "placeSigma": round(self.place_sigma, 9)}
+        return {"unit": self.unit, **sigmas, "said": self.said, "ground": round(self.ground, 3)}
+
+
+def overview(low: FloatArray, high: FloatArray, title: str = "Overview", elevation_deg: float = OVERVIEW_ELEVATION_DEG) -> PagePlace:
     """The whole of a box (3,), (3,) from the south, above its ground."""
     middle = (low + high) / 2
     away = max(float(np.linalg.norm((high - low)[:2])), 1e-6) * 0.9
-    elevation = np.radians(OVERVIEW_ELEVATION_DEG)
+    elevation = np.radians(elevation_deg)
     position = middle + away * np.array([0.0, -np.cos(elevation), np.sin(elevation)])
     view = ViewPose(position=position, focal_point=middle, up=np.array([0.0, 0, 1]), angle_deg=OVERVIEW_ANGLE_DEG)
-    return PagePlace(title="Overview", text="", view=view)
+    return PagePlace(title=title, text="", view=view, marked=False)
 
 
 def settings(start: PagePlace, places: Sequence[PagePlace]) -> dict[str, Any]:
@@ -80,6 +110,7 @@ def settings(start: PagePlace, places: Sequence[PagePlace]) -> dict[str, Any]:
                 "camera": {"initial": viewer_camera(place)},
             }
             for place in places
+            if place.marked
         ],
         "startMode": "default",
     }
@@ -103,24 +134,80 @@ def run_borders(run: RunView) -> tuple[BorderFigures, ...]:
     return () if run.splats is None or regions < 2 else tuple(border_figures(run.scene, run.cloud_plan, run.splats))
 
 
-def run_places(run: RunView, borders: Sequence[BorderFigures]) -> list[PagePlace]:
-    """The worst seams and, where cameras may be shown, the worst photographs."""
-    ground = ground_height(run.scene)
-    names = region_names(run)
-    places = [
-        PagePlace(title=f"Seam {_title(figures, names)}", text=_step(figures), view=SeamStop(figures=figures).view(ground), aspect=1.0)
-        for figures in borders[:MAX_STOPS]
+def listed_places(places: Sequence[PagePlace]) -> list[dict[str, Any]]:
+    """What the page lists, in order: of a marked place the number of its annotation in `settings`,
+    of any other where to look from."""
+    marked = iter(range(len(places)))
+    return [
+        {
+            "title": place.title,
+            "text": place.text,
+            "group": place.group,
+            "annotation": next(marked) if place.marked else None,
+            "camera": None if place.marked else viewer_camera(place),
+        }
+        for place in places
     ]
+
+
+def run_places(run: RunView, borders: Sequence[BorderFigures]) -> list[PagePlace]:
+    """The whole from two sides, the bookmarked views and the regions; then the worst seams and,
+    where cameras may be shown, the worst photographs."""
+    return [*_whole(run), *_bookmarked(run), *_of_regions(run), *_seams(run, borders), *_weakest(run)]
+
+
+def _whole(run: RunView) -> Iterator[PagePlace]:
+    low, high = framed_box(run.scene, run.cloud_plan)
+    high = np.array([*high[:2], low[2]])
+    yield overview(low, high)
+    yield overview(low, high, "From above", ABOVE_DEG)
+
+
+def _bookmarked(run: RunView) -> Iterator[PagePlace]:
+    """The views that somebody has kept for others to see, as they are named."""
+    for number, view in Bookmarks(run.folder).load().items():
+        # A view's angle is over its height; the page's goes across a window of 16:9.
+        yield PagePlace(title=view.title or f"View {number}", text=view.note, view=view.pose)
+
+
+def _of_regions(run: RunView) -> Iterator[PagePlace]:
+    """Each region, where there are some."""
+    borders = [border for border in run.cloud_plan.borders if len(border) >= 3]
+    if not 2 <= len(borders) <= MAX_STOPS:
+        return
+    names, ground, unit = region_names(run), ground_height(run.scene), run.unit
+    for index, border in enumerate(run.cloud_plan.borders):
+        if len(border) >= 3:
+            low, high = border.min(axis=0), border.max(axis=0)
+            place = overview(np.array([*low, ground]), np.array([*high, ground]), names[index])
+            text = f"a region of {high[0] - low[0]:.0f} × {high[1] - low[1]:.0f} {unit}, trained by itself and joined with the others"
+            yield replace(place, text=text)
+
+
+def _seams(run: RunView, borders: Sequence[BorderFigures]) -> Iterator[PagePlace]:
+    ground, names = ground_height(run.scene), region_names(run)
+    for figures in borders[:MAX_STOPS]:
+        view = SeamStop(figures=figures).view(ground)
+        yield PagePlace(title=f"Border {_title(figures, names)}", text=_step(figures), view=view, aspect=1.0, group=WEAK)
+
+
+def _weakest(run: RunView) -> Iterator[PagePlace]:
     if run.in_field:
-        return places
-    cameras, diagonal = run.scene.cameras, _diagonal(run)
-    for name in worst_photographs(run):
+        return
+    ground, cameras, diagonal = ground_height(run.scene), run.scene.cameras, _diagonal(run)
+    for number, name in enumerate(worst_photographs(run)):
         index = cameras.names.index(name)
         width, height = cameras.sizes_wh[index]
         view = camera_pose(cameras, index, max(float(cameras.centers[index, 2]) - ground, 0.05 * diagonal, 1e-3))
-        text = f"{(run.psnr_db or {})[name]:.1f} dB"
-        places.append(PagePlace(title=name, text=text, view=view, aspect=float(width) / float(height)))
-    return places
+        title, text = weak_view(number, name, (run.psnr_db or {})[name])
+        yield PagePlace(title=title, text=text, view=view, aspect=float(width) / float(height), group=WEAK)
+
+
+def weak_view(number: int, name: str, psnr_db: float) -> tuple[str, str]:
+    """Title and text of the view, from 0, at which the model is that far from a photograph."""
+    order = ("Weakest view", "Second weakest view", "Third weakest view")
+    title = order[number] if number < len(order) else f"{number + 1}th weakest view"
+    return title, f"of {name}, which took no part in the training: {psnr_db:.1f} dB"
 
 
 def worst_photographs(run: RunView) -> list[str]:
@@ -213,7 +300,10 @@ def _title(figures: BorderFigures, names: Sequence[str]) -> str:
 
 
 def _step(figures: BorderFigures) -> str:
-    return f"step of {figures.step_levels:.1f} of 255 levels" if figures.has_verdict else "too little observed for a verdict"
+    if not figures.has_verdict:
+        return "too few photographs show both sides to judge it"
+    seen = "to be seen" if figures.step_levels >= VISIBLE_LEVELS else "hardly to be seen"
+    return f"colours step by {figures.step_levels:.1f} of 255 levels where the parts meet, {seen}"
 
 
 def _hex(color: tuple[int, int, int]) -> str:

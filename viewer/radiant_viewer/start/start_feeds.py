@@ -14,7 +14,8 @@ class StartFeeds:
     """Commands and functions of the application."""
 
     worker: tuple[str, ...]
-    """Answers what a folder is and what a run of it takes (`radiant_app.commands.start_worker`)."""
+    """Answers what a folder is and what a run of it takes
+    (`radiant_app.commands.inspect.start_worker`)."""
     begin: Callable[[Sequence[str]], Begun]
     """Begins `radiant` with these arguments."""
     feeds: Callable[[Path], RunFeeds]

@@ -1,9 +1,9 @@
 """The model drawn by the browser itself, in the page's 3D view: the page of a scene in a frame.
 
-The frame is the page that `radiant view` serves, under the same address and port, in a folder whose
-name is a secret that only authorised browsers are told. The frame draws nothing where the browser
-has no WebGL 2; then the picture of the server behind it stays in sight. Once per server.
-"""
+The frame is the page that `radiant inspect --page` serves, under the same address and port, in a
+folder whose name is a secret that only authorised browsers are told. The frame draws nothing where
+the browser has no WebGL 2; then the picture of the server behind it stays in sight. Once per
+server."""
 
 from __future__ import annotations
 

@@ -14,6 +14,10 @@ from trame.widgets import client, html, vtk
 from trame.widgets import vuetify3 as v3
 
 from radiant_viewer.layers.themes import DARK, LIGHT, Theme, hex_color
+from radiant_viewer.web.style import NARROW_PX, STYLE
+
+NARROW = f"$vuetify.display.width < {NARROW_PX}"
+"""Whether the page is on a phone, for the browser to say."""
 
 HEADERS = {
     # Vue compiles its templates in the browser; all files come from this machine.
@@ -26,45 +30,6 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
-STYLE = """
-html, body { overflow: hidden !important; }
-/* The panel is as wide as makes a photograph of 4:3 fill it, below 90 px for its name, figures and buttons. */
-:root { --rad-lower: clamp(300px, 43.5vh, 640px); --rad-panel: calc((var(--rad-lower) - 90px) * 4 / 3 + 16px); }
-.rad-bar .v-toolbar__content { gap: 4px; }
-.rad-legend { font-size: 12px; line-height: 18px; padding: 0 8px 0 46px; opacity: .85; display: flex; align-items: center; gap: 7px; }
-.rad-legend span.text { overflow: hidden; text-overflow: ellipsis; white-space: nowrap; }
-.rad-swatch { flex: none; width: 12px; height: 12px; border: 1px solid rgba(110,118,130,.9); }
-.rad-swatch.line { height: 4px; border: none; }
-.rad-swatch.dot, .rad-swatch.ring { border-radius: 50%; }
-.rad-swatch.dot { border: none; width: 8px; height: 8px; margin: 0 2px; }
-.rad-heat { height: 10px; border: 1px solid rgba(110,118,130,.6); }
-.rad-layer { display: flex; align-items: center; padding: 0 6px 0 6px; }
-.rad-layer .v-selection-control { flex: 1 1 auto; }
-.rad-layer .v-label { white-space: nowrap; font-size: 13px; opacity: 1; }
-.rad-pane { position: relative; flex: 1 1 0; min-width: 0; height: 100%; overflow: hidden; }
-.rad-pane .rad-name { position: absolute; left: 8px; top: 6px; z-index: 2; font-size: 12px; font-weight: 600; padding: 1px 7px;
-  border-radius: 4px; pointer-events: none; background: rgba(var(--v-theme-surface), .82); }
-.rad-pane.rad-second { border-left: 1px solid rgba(128,128,128,.35); }
-.rad-pane iframe { position: absolute; inset: 0; width: 100%; height: 100%; border: 0; z-index: 1; visibility: hidden; }
-/* The frame says so itself, once it has drawn. */
-.rad-pane iframe[data-loaded] { visibility: visible; }
-.rad-pane .rad-drawn { position: absolute; right: 8px; top: 5px; z-index: 2; }
-.rad-tab { flex: 1 1 0; min-height: 0; overflow: auto; }
-.rad-table table { font-size: 12.5px; }
-.rad-table th, .rad-table tr[data-camera] td,
-.rad-table tr[data-seam] td { height: 28px !important; padding: 0 10px !important; white-space: nowrap; }
-.rad-table td { font-variant-numeric: tabular-nums; cursor: pointer; }
-.rad-table tr.chosen td { background: rgba(var(--v-theme-primary), .22); }
-.rad-table tbody tr:hover td { background: rgba(var(--v-theme-primary), .10); }
-.rad-panel { flex: none; width: var(--rad-panel); border-left: 1px solid rgba(128,128,128,.35); }
-.rad-photo { position: relative; flex: 1 1 0; min-height: 0; display: flex; align-items: center; justify-content: center; }
-.rad-photo img { position: absolute; left: 0; top: 0; width: 100%; height: 100%; object-fit: contain; }
-.rad-slider { position: absolute; left: 6px; right: 6px; bottom: 4px; margin: 0 !important; border-radius: 12px;
-  background: rgba(var(--v-theme-surface), .72); }
-.rad-soft { font-size: 12px; opacity: .75; }
-.rad-figure { font-size: 11px; line-height: 16px; white-space: nowrap; }
-.rad-figure b { font-variant-numeric: tabular-nums; }
-"""
 
 
 class PageActions(Protocol):
@@ -93,7 +58,7 @@ def build_layout(server: Any, page: PageActions) -> tuple[Any, Any]:
         client.Style(STYLE)
         _bar()
         _layer_drawer()
-        with v3.VMain(classes="fill-height"), html.Div(classes="d-flex flex-column", style="height: calc(100vh - 45px)"):
+        with v3.VMain(classes="fill-height"), html.Div(classes="rad-whole"):
             images = _views(page)
             _lower_half()
     return images
@@ -105,8 +70,9 @@ def _button(icon: str, tip: str, click: str, **attributes: Any) -> None:
 
 def _bar() -> None:
     with v3.VAppBar(flat=True, border=True, height=44, classes="rad-bar"):
+        _button("mdi-layers-outline", "Layers", "drawer = !drawer", v_if=(NARROW,), classes="ml-1", raw_attrs=['data-action="layers"'])
         html.Div("{{ title }}", classes="ml-4 font-weight-bold text-no-wrap")
-        html.Div("{{ subtitle }}", classes="rad-soft ml-2 text-truncate")
+        html.Div("{{ subtitle }}", classes="rad-subtitle rad-soft ml-2 text-truncate")
         v3.VSpacer()
         with v3.VBtnToggle(v_model=("panes",), mandatory=True, density="compact", variant="outlined", divided=True, style="height: 30px"):
             for value, text in (("map", "Map"), ("both", "Both"), ("view", "3D")):
@@ -116,7 +82,17 @@ def _bar() -> None:
 
 
 def _layer_drawer() -> None:
-    with v3.VNavigationDrawer(permanent=True, width=280), html.Div(classes="py-2"):
+    """Beside the views, or on a phone a sheet from below."""
+    with v3.VNavigationDrawer(v_if=(f"!({NARROW})",), permanent=True, width=280):
+        _layer_list()
+    # What Vuetify calls the width of a drawer at the bottom is its height.
+    height = ("Math.round(0.62 * $vuetify.display.height)",)
+    with v3.VNavigationDrawer(v_if=(NARROW,), v_model=("drawer",), temporary=True, location="bottom", width=height):
+        _layer_list()
+
+
+def _layer_list() -> None:
+    with html.Div(classes="py-2"):
         html.Div("Layers", classes="text-subtitle-2 font-weight-bold px-3 pb-1")
         with html.Div(v_for="layer in layers", key="layer.name", classes="pb-1", raw_attrs=[':data-layer="layer.name"']):
             with html.Div(classes="rad-layer"):
@@ -152,7 +128,7 @@ def _legend() -> None:
 
 def _views(page: PageActions) -> tuple[Any, Any]:
     images = []
-    with html.Div(classes="d-flex", style="flex: 1 1 0; min-height: 0"):
+    with html.Div(classes="rad-views"):
         for name, view, other in (("Map", page.scene.map, "view"), ("3D", page.scene.view, "map")):
             second = " rad-second" if name == "3D" else ""
             with html.Div(v_show=f"panes !== '{other}'", classes=f"rad-pane{second}", raw_attrs=[f'data-view="{name}"']):
@@ -186,7 +162,7 @@ def _browser_splats() -> None:
 
 
 def _lower_half() -> None:
-    with html.Div(classes="d-flex", style="height: var(--rad-lower); border-top: 1px solid rgba(128,128,128,.35)"):
+    with html.Div(classes="rad-lower"):
         with html.Div(classes="d-flex flex-column", style="flex: 1 1 0; min-width: 0"):
             with v3.VTabs(v_model=("tab",), density="compact", height=34, color="primary"):
                 for value, text in (("cameras", "Cameras"), ("seams", "Seams, worst first"), ("plan", "Plan and times")):
@@ -265,9 +241,7 @@ def _seam_tour() -> None:
 
 
 def _pictures() -> None:
-    with html.Div(
-        classes="d-flex flex-column pa-2", style="flex: none; width: var(--rad-panel); border-left: 1px solid rgba(128,128,128,.35)"
-    ):
+    with html.Div(classes=("selected === null ? 'rad-panel rad-empty pa-2' : 'rad-panel pa-2'",)):
         html.Div("Choose a camera to see its photograph, render and difference.", v_if="selected === null", classes="rad-soft pa-2")
         with html.Template(v_if="selected !== null"):
             with html.Div(classes="d-flex align-center"):
@@ -276,6 +250,7 @@ def _pictures() -> None:
                 _button(
                     "mdi-video-outline", "Look from where this camera stood", "trigger('fly_to_camera')", raw_attrs=['data-action="fly"']
                 )
+                _button("mdi-close", "Close", "selected = null", v_if=(NARROW,), raw_attrs=['data-action="close"'])
             with html.Div(classes="d-flex flex-wrap pb-1", style="gap: 0 9px", v_if="figures.length"):
                 html.Span(
                     "{{ figure.heading }} <b>{{ figure.value }}</b>",

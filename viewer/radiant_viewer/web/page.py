@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from trame.app import get_server
+from trame_client.module.vue3 import www
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.camera_layer import highlight_layer
@@ -26,6 +28,7 @@ from radiant_viewer.runs.seam_tour import SeamStop, seam_stops
 from radiant_viewer.runs.shown_model import SURROUNDINGS, framed_positions
 from radiant_viewer.share.scene_page import PagePlace
 from radiant_viewer.web.browser_splats import BrowserSplats
+from radiant_viewer.web.first_picture import add_first_picture, first_picture
 from radiant_viewer.web.layout import HEADERS, build_layout
 from radiant_viewer.web.rows import (
     Row,
@@ -68,10 +71,16 @@ class WebPage:
         for name, value in HEADERS.items():
             self.server.http_headers.set_header(name, value)
 
+        picture = first_picture(self.run.folder, self.scene.view.picture)
+
+        def on_bind(bound: Any) -> None:
+            add_first_picture(bound.app, Path(www), self._loaded(), picture, secret)
+
         def on_ready(**_: object) -> None:
             ready(self.server.port)
             self._spawn(self._prepare())
 
+        self.server.controller.on_server_bind.add(on_bind)
         self.server.controller.on_server_ready.add(on_ready)
         try:
             await self.server.start(
@@ -150,6 +159,12 @@ class WebPage:
         self.splats.fit()
         self.push()
 
+    def _loaded(self) -> list[Path]:
+        """The files that a browser fetches before the page stands."""
+        state, folders = self.server.state, self.server.serve
+        parts = [str(url).split("/", maxsplit=1) for url in (*state.trame__scripts, *state.trame__styles)]
+        return [Path(folders[part[0]]) / part[1] for part in parts if len(part) > 1 and part[0] in folders]
+
     def _layer_rows(self) -> list[Row]:
         return [layer_row(layer, self.scene.theme) for layer in reversed(self.scene.layers)]
 
@@ -171,7 +186,9 @@ class WebPage:
         state.gantt = picture_url(run.folder / "pictures" / "gantt.png")
         state.update({"splats_page": "", "splats_told": self.splats.told, "splats_shown": True, "splats_reason": ""})
         state.update({"dark": False, "solo": "", "seams": [], "seam": -1, "seams_note": "Measuring the seams …", "selected": None})
-        state.update({"pictures": None, "figures": [], "kind": "photograph", "share": 50, "tab": "cameras", "panes": "both"})
+        state.update(
+            {"pictures": None, "figures": [], "kind": "photograph", "share": 50, "tab": "cameras", "panes": "both", "drawer": False}
+        )
 
     def _on_visible(self, visible: list[str], **_: object) -> None:
         if set(visible) != self.scene.visible:

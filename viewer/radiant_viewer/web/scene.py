@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
+import numpy as np
 import pyvista as pv
+from vtkmodules.vtkCommonCore import vtkCommand
 from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray
@@ -16,6 +18,7 @@ from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.map_labels import add_map_labels
 from radiant_viewer.layers.point_detail import Later, PointDetail
 from radiant_viewer.layers.themes import LIGHT, Theme, apply_theme
+from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.offscreen import aim_camera, egl_rendering
 from radiant_viewer.pictures.view_pose import ViewPose
 
@@ -33,6 +36,8 @@ class WebView:
     def __init__(self, *, is_map: bool, origin: FloatArray, later: Later) -> None:
         self.is_map, self.origin = is_map, origin
         self.actors: dict[str, list[vtkProp]] = {}
+        self._wanted: tuple[float, float] | None = None
+        self._set_scale = 0.0
         with egl_rendering():
             self.plotter = pv.Plotter(off_screen=True, window_size=list(FIRST_SIZE_WH))
         window = self.plotter.render_window
@@ -48,6 +53,9 @@ class WebView:
             interactor.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)
         # Frames are rendered when the page requests them.
         window.GetInteractor().EnableRenderOff()
+        self._size_wh = (float(FIRST_SIZE_WH[0]), float(FIRST_SIZE_WH[1]))
+        if is_map:
+            window.AddObserver(vtkCommand.WindowResizeEvent, lambda *_: self._refit())
 
     def draw(self, layer: Layer, slot: int, theme: Theme, *, visible: bool) -> None:
         """Draw a layer in place of the one of its name; on a map higher slots cover lower ones."""
@@ -81,17 +89,36 @@ class WebView:
             return
         low, high = local.min(axis=0), local.max(axis=0)
         self._look_down((low[:2] + high[:2]) / 2)
-        width, height = self.plotter.window_size
         spans = high - low
-        camera.parallel_scale = 0.54 * float(max(spans[1], spans[0] * height / max(width, 1), 1e-6))
+        self._want(0.54 * float(spans[0]), 0.54 * float(spans[1]))
         self.plotter.renderer.reset_camera_clipping_range()
+
+    def picture(self) -> Image:
+        """What it shows now, (H,W,3)."""
+        pixels = self.plotter.screenshot(return_img=True)
+        assert pixels is not None, "an array was asked for"
+        return np.ascontiguousarray(pixels[..., :3])
+
+    def _want(self, half_width: float, half_height: float) -> None:
+        """Let the map show so much to either side of its middle, whatever the shape of its pane."""
+        width, height = self.plotter.window_size
+        self._wanted, self._size_wh = (half_width, half_height), (float(width), float(height))
+        self.plotter.camera.parallel_scale = self._set_scale = max(half_height, half_width * height / max(width, 1), 1e-6)
+
+    def _refit(self) -> None:
+        """Keep in sight what was, where the pane has another shape now; what somebody has zoomed to
+        since is what was in sight."""
+        scale, (width, height) = self.plotter.camera.parallel_scale, self._size_wh
+        if self._wanted is None or abs(scale - self._set_scale) > 1e-6 * scale:
+            self._wanted = scale * width / max(height, 1.0), scale
+        self._want(*self._wanted)
 
     def look(self, pose: ViewPose, reach: float) -> None:
         """Move to a pose of the world; a map shows `reach` on either side of the focal point."""
         camera = self.plotter.camera
         if self.is_map:
             self._look_down(pose.focal_point[:2] - self.origin[:2])
-            camera.parallel_scale = max(reach, 1e-6)
+            self._want(reach, reach)
         else:
             camera.focal_point = tuple(pose.focal_point - self.origin)
             camera.position = tuple(pose.position - self.origin)

@@ -13,6 +13,7 @@ import secrets
 import socket
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from radiant_core.errors import BadInput
 from radiant_core.extras import require_extra
@@ -49,7 +50,13 @@ def open_page(run_folder: Path, announce: Callable[[str], None], host: str = LOC
 
     secret = secrets.token_urlsafe(24)
 
+    def on_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        # Closing the browser in the middle of a frame is no error here either.
+        if not isinstance(context.get("exception"), ConnectionResetError):
+            loop.default_exception_handler(context)
+
     async def serve() -> None:
+        asyncio.get_running_loop().set_exception_handler(on_error)
         page = WebPage(run)
         await page.serve(host, port, secret, lambda used: announce(address_text(host, used, secret)))
 

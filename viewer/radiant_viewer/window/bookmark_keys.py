@@ -8,7 +8,7 @@ from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QWidget
 
 from radiant_viewer.host.protocols import Host
-from radiant_viewer.window.bookmarks import NUMBERS, Bookmarks
+from radiant_viewer.runs.bookmarks import NUMBERS, Bookmarks
 
 BOOKMARK_KEYS = {"Ctrl+Alt+1 … 9": "Bookmark the 3D view, beside the run", "Alt+1 … 9": "See a bookmarked view again"}
 

@@ -90,7 +90,7 @@ class StartWindow(QMainWindow):
         self.measuring.ended.connect(self._on_measured)
         self.source, self.machines, self.map = SourcePane(), MachinePane(), PlacesMap()
         self.measure = QPushButton("Measure this machine (5 min)")
-        self.measure.setToolTip("radiant profile: forecasts are this machine's own afterwards")
+        self.measure.setToolTip("radiant machine profile: forecasts are this machine's own afterwards")
         self.quality = QButtonGroup(self)
         self.out, self.line = QLineEdit(), QPlainTextEdit()
         self.line.setReadOnly(True)

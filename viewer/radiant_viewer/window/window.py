@@ -33,6 +33,7 @@ from radiant_viewer.pictures.images import Image, save_png
 from radiant_viewer.pictures.offscreen import fitting_pose
 from radiant_viewer.pictures.view_motion import SIDES_DEG, Side
 from radiant_viewer.pictures.view_pose import camera_pose
+from radiant_viewer.runs.bookmarks import Bookmarks
 from radiant_viewer.runs.growing_model import GROWING_S
 from radiant_viewer.runs.run_feeds import RunFeeds
 from radiant_viewer.runs.run_layers import hidden_at_first
@@ -41,7 +42,6 @@ from radiant_viewer.runs.shown_model import MODEL, SURROUNDINGS, model_layers, s
 from radiant_viewer.splats.model_view import ModelView
 from radiant_viewer.window.actions import add_actions
 from radiant_viewer.window.bookmark_keys import BookmarkKeys
-from radiant_viewer.window.bookmarks import Bookmarks
 from radiant_viewer.window.docks import make_docks, place_docks, place_plan_docks, resize_docks
 from radiant_viewer.window.panels import Panels
 from radiant_viewer.window.place_label import PlaceLabel

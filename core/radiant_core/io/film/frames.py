@@ -1,9 +1,10 @@
 """Frames of films as photographs in a folder. Once per source.
 
     FOLDER/frames.json                       what they were made from, which are taken, and why
-    FOLDER/film_NAME/NAME_000123.jpg         frame 123, with the position of an SRT beside the film
+    FOLDER/film_NAME/NAME_000123.jpg         frame 123, with its position
 
-What is there of the same films is not made again: a job that was interrupted goes on.
+Positions are those of an SRT beside the film, else those in its own file. What is there of the same
+films is not made again: a job that was interrupted goes on.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.film.choosing import ChosenFrames, choose_frames
+from radiant_core.io.film.container import read_container
 from radiant_core.io.film.exif import with_position
 from radiant_core.io.film.formats import srt_beside
 from radiant_core.io.film.srt import FilmTrack, read_track
@@ -70,13 +72,25 @@ def take_frames(films: Sequence[Path], folder: Path, asked: int | None, report: 
         record = _described(chosen, key)
         folder.mkdir(parents=True)
         write_json(folder / RECORD, record)
-    tracks = {film: None if (srt := srt_beside(film)) is None else read_track(srt) for film in films}
+    tracks = {film: _track_of(film) for film in films}
     for number, film in enumerate(films):
         _write_frames(film, folder, record["frames"][names[film]], tracks[film], _of_film(report, "taking frames", number, len(films)))
     decision = Decision(stage="sfm", topic="frames of films", **record["decision"], forced=asked is not None)
     placed = sum(track is not None and len(track.times_s) > 0 for track in tracks.values())
     said = f"{in_short([film.name for film in films])}: {decision.choice}; {placed} of {len(films)} films have positions."
     return FilmFrames(folder=folder, decision=decision, warnings=(said, *_warnings(films, tracks)))
+
+
+def _track_of(film: Path) -> FilmTrack | None:
+    """The positions of a film; None where nothing beside it or in it has any. Of a place where it
+    began that place, for its first second."""
+    beside = srt_beside(film)
+    if beside is not None:
+        return read_track(beside)
+    track, begun = read_container(film)
+    if len(track.times_s) or begun is None:
+        return track if len(track.times_s) else None
+    return FilmTrack(times_s=np.zeros(1), lat_lon_alt=np.array([begun]))
 
 
 def frame_name(film: str, index: int) -> str:
@@ -141,5 +155,8 @@ def _warnings(films: Sequence[Path], tracks: Mapping[Path, FilmTrack | None]) ->
     placed = [track for film in films if (track := tracks[film]) is not None and len(track.times_s)]
     said = [f"the subtitles of {in_short(empty)} hold no position that is understood: the film has no GPS."] if empty else []
     if any(np.isfinite(track.lat_lon_alt[:, 2]).any() for track in placed):
-        said.append("heights of a film's subtitles may be off by tens of metres: name no vertical datum in --crs.")
+        said.append("heights that are written for a film may be off by tens of metres: name no vertical datum in --crs.")
+    single = [film.name for film in films if (track := tracks[film]) is not None and len(track.times_s) == 1]
+    if single:
+        said.append(f"{in_short(single)} say where they began alone: one place a film, which gives no scale (--distance or --height do).")
     return tuple(said)

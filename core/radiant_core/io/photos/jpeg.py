@@ -21,7 +21,7 @@ import numpy as np
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.photos.gps import GPS_ERROR, Position, read_fix
 from radiant_core.io.photos.tiff import XMP_PACKET, first_directory, inner_directory, number, text
-from radiant_core.io.photos.xmp import VERTICAL_SHARE, xmp_sigma_m
+from radiant_core.io.photos.xmp import VERTICAL_SHARE, Sphere, xmp_sigma_m, xmp_sphere
 from radiant_core.io.photos.xmp_position import xmp_counts_from_sea, xmp_position
 
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -73,6 +73,8 @@ class ExifFacts:
     """What stands in place of a position, or what is doubtful in one."""
     altitude_from_sea: bool = False
     """Whether it is said that the altitude counts from the sea; else nobody says from what."""
+    sphere: Sphere = ""
+    """Of an equirectangular panorama that says so: how much of the sphere it shows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +125,8 @@ def join_facts(blocks: Sequence[bytes], packets: Sequence[bytes]) -> ExifFacts:
     sigma_m = next((sigma for packet in packets if (sigma := xmp_sigma_m(packet)) is not None), None)
     serial = next((match[1].decode().strip() for packet in packets if (match := _WRITTEN_SERIAL.search(packet))), "")
     said, written = next(((packet, place) for packet in packets if (place := xmp_position(packet)) is not None), (b"", None))
-    exif = replace(exif, position_sigma_m=sigma_m or exif.position_sigma_m, serial=exif.serial or serial)
+    sphere = next((shown for packet in packets if (shown := xmp_sphere(packet))), "")
+    exif = replace(exif, position_sigma_m=sigma_m or exif.position_sigma_m, serial=exif.serial or serial, sphere=sphere)
     if written is None:
         return exif
     if exif.lat_lon_alt is None:

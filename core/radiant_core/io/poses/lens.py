@@ -3,6 +3,7 @@
     brown:    x' = x (1 + k₁r² + k₂r⁴ + k₃r⁶ + k₄r⁸) + 2 p₁xy + p₂(r² + 2x²),   x = X/Z, y = Y/Z
               y' = y (…) + p₁(r² + 2y²) + 2 p₂xy
     fisheye:  (x', y') = θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸) (X, Y) / ρ,   θ = atan2(ρ, Z)
+    sphere:   an equirectangular panorama (`panoramas.py`), which is cut into faces before all else
     pixel:    u = cₓ + fₓx' + s y',   v = c_y + f_y y',   the first pixel's middle at (0.5, 0.5)
 
 These are OpenCV's equations with one coefficient more, k₄, and skew s. What COLMAP has a model for
@@ -19,6 +20,7 @@ import numpy as np
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.records import MAX_SIDE_PX, ColmapCamera
 from radiant_core.numerics import FloatArray
+from radiant_core.panoramas import pixels_of_rays, rays_of_pixels
 
 MAX_VALUE = 1e6
 """Of a focal length or principal point in px, and of a coefficient."""
@@ -35,7 +37,7 @@ class Lens:
     fy: float
     cx: float
     cy: float
-    kind: Literal["brown", "fisheye"] = "brown"
+    kind: Literal["brown", "fisheye", "sphere"] = "brown"
     k: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     p1: float = 0.0
     p2: float = 0.0
@@ -51,7 +53,13 @@ class Lens:
             raise BadInput("a fisheye lens has tangential coefficients, which no lens here has: undistort the photographs with it first.")
 
     def camera(self, camera_id: int) -> ColmapCamera | None:
-        """The same in COLMAP's terms; None where it has no such model (k₄ or skew)."""
+        """The same in COLMAP's terms; None where it has no such model (k₄ or skew). Raises BadInput
+        for a panorama, of which faces have to be cut first."""
+        if self.kind == "sphere":
+            raise BadInput(
+                "the alignment is of panoramas, which become flat photographs where all are in one folder: use --frames shared, or cut "
+                "them in the program that aligned them."
+            )
         head = (self.fx, self.fy, self.cx, self.cy)
         k1, k2, k3, k4 = self.k
         if self.skew != 0 or (self.kind == "brown" and k4 != 0):
@@ -83,13 +91,17 @@ class Lens:
         """Pixels (N,2) of points (N,3) in the camera's frame; NaN behind a lens that is no
         fisheye."""
         rays = np.asarray(rays, np.float64)
+        if self.kind == "sphere":
+            return pixels_of_rays(rays, self.size_wh)
         with np.errstate(all="ignore"):
             bent = self._bend(self._flat(rays))
         return np.column_stack([self.cx + self.fx * bent[:, 0] + self.skew * bent[:, 1], self.cy + self.fy * bent[:, 1]])
 
     def cam_from_img(self, pixels: FloatArray) -> FloatArray:
-        """Rays (N,3) with z = 1, or of length 1 for a fisheye, that `img_from_cam` puts at pixels
-        (N,2); NaN where none does."""
+        """Rays (N,3) with z = 1, or of length 1 for a fisheye and a panorama, that `img_from_cam`
+        puts at pixels (N,2); NaN where none does."""
+        if self.kind == "sphere":
+            return rays_of_pixels(pixels, self.size_wh)
         y = (pixels[:, 1] - self.cy) / self.fy
         target = np.column_stack([(pixels[:, 0] - self.cx - self.skew * y) / self.fx, y])
         flat, step = target.copy(), 1e-6
@@ -128,3 +140,47 @@ class Lens:
         bent_x = x * factor + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x)
         bent_y = y * factor + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y
         return np.column_stack([bent_x, bent_y])
+
+
+def sphere_lens(size_wh: tuple[int, int]) -> Lens:
+    """That of a whole equirectangular panorama; BadInput for a size that is not twice as wide as
+    high."""
+    width, height = size_wh
+    if abs(width - 2 * height) > 0.02 * height:
+        raise BadInput(f"a panorama has the size {width} × {height}, expected one twice as wide as high: export whole panoramas.")
+    pixels_per_radian = width / (2 * np.pi)
+    return Lens(size_wh=size_wh, fx=pixels_per_radian, fy=pixels_per_radian, cx=width / 2, cy=height / 2, kind="sphere")
+
+
+_TERMS = {
+    "SIMPLE_PINHOLE": "",
+    "PINHOLE": "",
+    "SIMPLE_RADIAL": "k1",
+    "RADIAL": "k1 k2",
+    "OPENCV": "k1 k2 p1 p2",
+    "FULL_OPENCV": "k1 k2 p1 p2 k3",
+    "SIMPLE_FISHEYE": "",
+    "FISHEYE": "",
+    "SIMPLE_RADIAL_FISHEYE": "k1",
+    "RADIAL_FISHEYE": "k1 k2",
+    "OPENCV_FISHEYE": "k1 k2 k3 k4",
+}
+"""COLMAP's models that have these equations, and what follows the principal point."""
+
+
+def lens_of(camera: ColmapCamera) -> Lens | None:
+    """The lens of a COLMAP camera; None of one with other equations."""
+    head = (camera.params[0], *camera.params)[:4] if camera.num_focals == 1 else camera.params[:4]
+    terms = _TERMS.get(camera.model)
+    if terms is None:
+        return None
+    rest = camera.params[camera.num_focals + 2 :]
+    value = dict(zip(terms.split(), rest, strict=False))
+    if any(rest[len(value) :]):
+        # FULL_OPENCV's denominator.
+        return None
+    fx, fy, cx, cy = head
+    k = (value.get("k1", 0.0), value.get("k2", 0.0), value.get("k3", 0.0), value.get("k4", 0.0))
+    kind = "fisheye" if "FISHEYE" in camera.model else "brown"
+    p1, p2 = value.get("p1", 0.0), value.get("p2", 0.0)
+    return Lens(size_wh=camera.size_wh, fx=fx, fy=fy, cx=cx, cy=cy, kind=kind, k=k, p1=p1, p2=p2)

@@ -2,7 +2,8 @@
 
     camera     <transform>: chunk from camera (4,4), OpenCV's axes
     lens       f, cx and cy from the middle; fx = f + b1, skew b2; p1 and p2 are exchanged against
-               OpenCV's; k4 is of r⁸. <calibration class="adjusted"> goes before "initial"
+               OpenCV's; k4 is of r⁸. <calibration class="adjusted"> goes before "initial";
+               type="spherical" has none: u = w/2 + w/2π · atan(X/Z), v alike
     component  <transform>: world = scale · rotation · chunk + translation, or that of the chunk
 
 Where the chunk has a coordinate system the world is geocentric (ECEF), else it is local. Lenses of
@@ -21,13 +22,13 @@ import numpy as np
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.io.poses.fields import read_text
-from radiant_core.io.poses.lens import Lens
+from radiant_core.io.poses.lens import Lens, sphere_lens
 from radiant_core.io.poses.pose_file import UNKNOWN_WORLD, GivenWorld, PosedView, PoseFile, SizeOf, nearest_rotation, posed_view
 from radiant_core.numerics import FloatArray
 
 EARTH_M = 6e6
 """A world so far from its origin is geocentric."""
-LENS_TYPES = ("frame", "fisheye")
+LENS_TYPES = ("frame", "fisheye", "spherical")
 _DECLARED_ENCODING = re.compile(r"^(\s*<\?xml[^>]*?)\sencoding\s*=\s*(\"[^\"]*\"|'[^']*')")
 """What the text was in before it was decoded."""
 NO_TRANSFORM = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
@@ -93,16 +94,16 @@ def _lens(sensor: Element, path: Path) -> Lens:
     kind = sensor.get("type", "frame")
     if kind not in LENS_TYPES:
         raise BadInput(f"{label} is of type {kind!r}, expected {' or '.join(LENS_TYPES)}: undistort or cut its photographs in Metashape.")
+    if kind == "spherical":
+        # It has no calibration: its picture is the whole sphere.
+        return sphere_lens(_size_wh(sensor.find("resolution"), label))
     calibrations = {each.get("class", "adjusted"): each for each in sensor.findall("calibration")}
     calibration = calibrations.get("adjusted", calibrations.get("initial"))
     if calibration is None:
         raise BadInput(f"{label} has no calibration: align the photographs and export the cameras again.")
     resolution = calibration.find("resolution")
     resolution = sensor.find("resolution") if resolution is None else resolution
-    if resolution is None:
-        raise BadInput(f"{label} has no resolution: export the cameras again.")
-    width, height = (_numbers(resolution.get(side), 1, label)[0] for side in ("width", "height"))
-    size_wh = (int(width), int(height))
+    size_wh = width, height = _size_wh(resolution, label)
 
     def value(tag: str, default: float = 0.0) -> float:
         text = calibration.findtext(tag)
@@ -127,6 +128,13 @@ def _lens(sensor: Element, path: Path) -> Lens:
         p2=value("p1"),
         skew=value("b2"),
     )
+
+
+def _size_wh(resolution: Element | None, label: str) -> tuple[int, int]:
+    if resolution is None:
+        raise BadInput(f"{label} has no resolution: export the cameras again.")
+    width, height = (_numbers(resolution.get(side), 1, label)[0] for side in ("width", "height"))
+    return int(width), int(height)
 
 
 def _world_from_chunk(chunk: Element, component: str, path: Path) -> tuple[Sim3, bool]:

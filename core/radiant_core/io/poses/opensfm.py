@@ -18,13 +18,14 @@ from scipy.spatial.transform import Rotation
 
 from radiant_core.errors import BadInput
 from radiant_core.io.poses.fields import Fields, numbers_of, read_json_file, read_text
-from radiant_core.io.poses.lens import Lens
+from radiant_core.io.poses.lens import Lens, sphere_lens
 from radiant_core.io.poses.pose_file import UNKNOWN_WORLD, GivenWorld, PosedView, PoseFile, SizeOf, posed_view
 from radiant_core.numerics import FloatArray
 
 TRACKS_MARK = "OPENSFM_TRACKS_VERSION_v"
 PROGRAM = "OpenSfM"
-READ_TYPES = ("perspective", "simple_radial", "radial", "brown", "fisheye", "fisheye_opencv")
+SPHERES = ("spherical", "equirectangular")
+READ_TYPES = ("perspective", "simple_radial", "radial", "brown", "fisheye", "fisheye_opencv", *SPHERES)
 Seen = dict[str, tuple[FloatArray, NDArray[np.int64]]]
 
 
@@ -80,6 +81,8 @@ def _lens(camera: Fields) -> Lens:
             "undistort the photographs in the program that aligned them."
         )
     size_wh = camera.whole("width"), camera.whole("height")
+    if kind in SPHERES:
+        return sphere_lens(size_wh)
     larger = max(size_wh)
     focal = camera.number("focal") if "focal" in camera else camera.number("focal_x")
     ratio = camera.number("focal_y", focal) if "focal" not in camera else focal

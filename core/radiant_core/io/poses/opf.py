@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.io.poses.fields import Fields, read_json_file
-from radiant_core.io.poses.lens import Lens
+from radiant_core.io.poses.lens import Lens, sphere_lens
 from radiant_core.io.poses.pose_file import UNKNOWN_WORLD, GivenWorld, PosedView, PoseFile, SizeOf, posed_view
 
 FLIP = np.diag([1.0, -1.0, -1.0])
@@ -94,13 +94,15 @@ def _name(uri: str) -> str:
 def _lens(sensor: Fields, sizes: dict[int, np.ndarray]) -> Lens:
     internals = sensor.object("internals")
     kind = internals.text("type")
-    if kind != "perspective":
+    if kind not in ("perspective", "spherical"):
         raise BadInput(
-            f"{internals.place} is of the type {kind!r}, which is not read here, expected 'perspective': undistort or cut first."
+            f"{internals.place} is of the type {kind!r}, which is not read here, expected 'perspective' or 'spherical': undistort first."
         )
     size = sizes.get(sensor.whole("id"))
     if size is None or (size != np.rint(size)).any():
         raise BadInput(f"{sensor.place} has no size in whole pixels among the input cameras: export the project again.")
+    if kind == "spherical":
+        return sphere_lens((int(size[0]), int(size[1])))
     focal = internals.number("focal_length_px")
     cx, cy = internals.numbers("principal_point_px", (2,)).tolist()
     k1, k2, k3 = internals.numbers("radial_distortion", (3,)).tolist()

@@ -19,7 +19,7 @@ import numpy as np
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.io.poses.fields import Fields, read_json_file
-from radiant_core.io.poses.lens import Lens
+from radiant_core.io.poses.lens import Lens, sphere_lens
 from radiant_core.io.poses.points_ply import read_points_ply
 from radiant_core.io.poses.pose_file import PosedView, PoseFile, SizeOf, nearest_rotation, posed_view
 from radiant_core.numerics import FloatArray
@@ -30,7 +30,7 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 OLD_APPLIED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]])
 """What nerfstudio applied to COLMAP's worlds before its files said so."""
 MODELS = {"OPENCV": "brown", "PINHOLE": "brown", "SIMPLE_PINHOLE": "brown", "SIMPLE_RADIAL": "brown", "RADIAL": "brown"}
-MODELS |= {"OPENCV_FISHEYE": "fisheye"}
+MODELS |= {"OPENCV_FISHEYE": "fisheye", "EQUIRECTANGULAR": "sphere"}
 UNUSED = {"mask_path": "masks, which --masks takes", "depth_file_path": "depths"}
 
 
@@ -111,12 +111,13 @@ def _lens(top: Fields, frame: Fields, name: str, size_of: SizeOf) -> Lens:
         model = "OPENCV_FISHEYE"
     if model not in MODELS:
         raise BadInput(
-            f"{frame.place}: the camera model {model!r} is not read here, expected one of {', '.join(MODELS)}: undistort the photographs, "
-            "or cut panoramas into flat ones."
+            f"{frame.place}: the camera model {model!r} is not read here, expected one of {', '.join(MODELS)}: undistort the photographs."
         )
     size_wh = (both.whole("w"), both.whole("h")) if "w" in both and "h" in both else size_of(name)
     if size_wh is None:
         raise BadInput(f"{frame.place} has no w and h, and there is no photograph {name!r} to take them from: put it there.")
+    if MODELS[model] == "sphere":
+        return sphere_lens(size_wh)
     if "fl_x" not in both and "camera_angle_x" not in both:
         raise BadInput(f"{frame.place} has neither fl_x nor camera_angle_x: export the file with its focal length.")
     fx = both.number("fl_x") if "fl_x" in both else _focal_px(both.number("camera_angle_x"), size_wh[0], frame.place)

@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.flight_lines import flight_lines
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.footprints import Optics
+from radiant_core.plan.flight.lines import flight_lines
 
 TURN_S = 3.0
 """Braking and turning where the way bends by more than `TURN_DEG`."""

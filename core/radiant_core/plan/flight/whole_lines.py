@@ -23,9 +23,9 @@ from shapely import MultiPoint, Polygon, get_coordinates
 from shapely.geometry.polygon import orient
 
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.flight_lines import flight_lines
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.counts.deadline import aggregate_times_s, device_time_s, edge_table
+from radiant_core.plan.flight.lines import flight_lines
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.power_diagram import clip_polygon
 from radiant_core.plan.system import Device, Edge, System

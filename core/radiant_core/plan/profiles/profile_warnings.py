@@ -37,16 +37,16 @@ def _of_devices(profile: Profile, counts: Sequence[tuple[str, int]], training: P
     names = _list([name for name, _ in counts], "device")
     found = _far([(profile.name, curve.largest_count) for curve in profile.device_curves], counts, "device", "times and sizes")
     if profile.kind == "estimate":
-        found.append(f"the times of {names} are estimates for {profile.machine}, never measured: run `radiant profile` there.")
+        found.append(f"the times of {names} are estimates for {profile.machine}, never measured: run `radiant machine profile` there.")
     if profile.measured_steps is not None and profile.measured_steps < profile.key.num_steps / 2:
         found.append(
             f"the times of {names}, profile {profile.name!r}, were measured over {profile.measured_steps:,} steps and multiplied up to "
-            f"{profile.key.num_steps:,}: give `radiant profile` more --time for better ones."
+            f"{profile.key.num_steps:,}: give `radiant machine profile` more --time for better ones."
         )
     if not profile.key.matches_training(training):
         found.append(
             f"the curves of {names}, profile {profile.name!r}, are of {profile.key}, this plan is for {training}: its times were scaled "
-            "from those of another training, run `radiant profile` with these settings."
+            "from those of another training, run `radiant machine profile` with these settings."
         )
     return found
 

@@ -41,7 +41,7 @@ LATENCY_S = 0.001
 """One way over a link whose latency nobody measured: a wired local network."""
 ADD_S_PER_BYTE = 2e-9
 """Of adding what one child sent, where nobody measured it: 1.4 to 2.2 ms a megabyte by
-`radiant profile` on two cores."""
+`radiant machine profile` on two cores."""
 BESIDE_BYTES = 10
 """Bytes of a row beside its gradients: exponents of their blocks, its statistics of density, and
 its share of the bits that say which rows are sent."""

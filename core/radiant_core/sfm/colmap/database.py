@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.io.photos.masks import mask_name
+from radiant_core.panoramas import has_faces
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.lenses import group_by_lens, set_focal
 from radiant_core.sfm.colmap.pairs import Pairs
@@ -47,7 +48,8 @@ def extract_features(
                 else:
                     extract_quickly((database, photo_folder, folder), part, camera_id, config, lambda: count(1))
                 camera_id = camera_id if camera_id >= 0 else _camera_of(database, part[0])
-        set_focal(database, camera_id, lens)
+        if not has_faces(lens.names):
+            set_focal(database, camera_id, lens)
 
 
 def _cameras_by_name(database: Path) -> dict[str, int]:

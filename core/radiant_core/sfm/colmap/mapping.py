@@ -13,6 +13,7 @@ from pathlib import Path
 
 from radiant_core.decisions import Decision
 from radiant_core.io.photos.listing import Photograph
+from radiant_core.panoramas import has_faces
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.database import match_pairs
 from radiant_core.sfm.colmap.pairs import Pairs, pairs_with
@@ -41,6 +42,11 @@ class MappingJob:
     work_folder: Path
     config: SfmConfig
     report: Report
+
+    @property
+    def has_rig(self) -> bool:
+        """Whether the photographs are faces of panoramas, whose rig and lenses are exact."""
+        return has_faces(photo.name for photo in self.photographs)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,6 +118,9 @@ def incremental_model(job: MappingJob, name: str, begun: pycolmap.Reconstruction
     options.random_seed = job.config.seed
     if job.config.effort != "thorough":
         _adjust_seldom(options)
+    if job.has_rig:
+        options.ba_refine_sensor_from_rig = options.ba_refine_focal_length = options.ba_refine_extra_params = False
+        options.mapper.abs_pose_refine_focal_length = options.mapper.abs_pose_refine_extra_params = False
     folder = _empty_folder(job.work_folder / name)
     if begun is not None:
         begun.write_binary(_empty_folder(folder / "begun"))
@@ -146,6 +155,10 @@ def _global_model(job: MappingJob) -> pycolmap.Reconstruction | None:
     options.random_seed = options.mapper.random_seed = job.config.seed
     options.mapper.global_positioning.use_gpu = False
     options.mapper.bundle_adjustment.ceres.use_gpu = False
+    if job.has_rig:
+        options.mapper.refine_sensor_from_rig = False
+        adjusting = options.mapper.bundle_adjustment
+        adjusting.refine_sensor_from_rig = adjusting.refine_focal_length = adjusting.refine_extra_params = False
     output = _empty_folder(job.work_folder / "global")
     models = call_colmap("mapping", pycolmap.global_mapping, job.database, job.photo_folder, output, options=options)
     job.report(SfmProgress(phase="mapping", done=total, total=total))

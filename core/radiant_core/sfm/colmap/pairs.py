@@ -12,6 +12,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.numerics import FloatArray
+from radiant_core.panoramas import frame_of
 from radiant_core.sfm.config import SfmConfig
 
 MIN_GPS_SHARE = 0.9
@@ -59,7 +60,7 @@ def choose_pairs(photographs: tuple[Photograph, ...], config: SfmConfig) -> tupl
         pairs = neighbor_pairs(names, gps_positions(photographs)[0], config.num_neighbors)
         reason = f"each photograph is matched with its {config.num_neighbors} nearest by GPS"
     else:
-        pairs = list(combinations(names, 2))
+        pairs = [pair for pair in combinations(names, 2) if frame_of(pair[0]) != frame_of(pair[1])]
         reason = f"under {MIN_GPS_SHARE:.0%} have a GPS position, so every pair is matched"
     forced = config.matching != "auto"
     decision = Decision(
@@ -76,7 +77,20 @@ def choose_pairs(photographs: tuple[Photograph, ...], config: SfmConfig) -> tupl
 
 def neighbor_pairs(names: list[str], positions_m: FloatArray, num_neighbors: int) -> Pairs:
     """Each name with its nearest others by horizontal distance, as GPS heights are worst, and those
-    without a position (NaN) with every other; sorted, each pair once."""
+    without a position (NaN) with every other; sorted, each pair once. Faces of panoramas go with
+    all faces of the nearest others, and not with those of their own."""
+    members: dict[str, list[int]] = {}
+    for index, name in enumerate(names):
+        members.setdefault(frame_of(name), []).append(index)
+    if len(members) == len(names):
+        return [(names[a], names[b]) for a, b in _nearest_pairs(positions_m, num_neighbors)]
+    frames = list(members.values())
+    nearest = _nearest_pairs(positions_m[[each[0] for each in frames]], num_neighbors)
+    numbered = {(min(a, b), max(a, b)) for one, other in nearest for a in frames[one] for b in frames[other]}
+    return [(names[a], names[b]) for a, b in sorted(numbered)]
+
+
+def _nearest_pairs(positions_m: FloatArray, num_neighbors: int) -> list[tuple[int, int]]:
     known = np.flatnonzero(np.isfinite(positions_m[:, 0]))
     pairs: set[tuple[int, int]] = set()
     if len(known) > 1:
@@ -84,13 +98,18 @@ def neighbor_pairs(names: list[str], positions_m: FloatArray, num_neighbors: int
         nearest = np.asarray(KDTree(flat).query(flat, k=min(num_neighbors + 1, len(known)))[1])
         first, second = np.repeat(known, nearest.shape[1]), known[nearest.ravel()]
         pairs = {(min(a, b), max(a, b)) for a, b in zip(first.tolist(), second.tolist(), strict=True) if a != b}
-    for index in np.setdiff1d(np.arange(len(names)), known).tolist():
-        pairs |= {(min(index, other), max(index, other)) for other in range(len(names)) if other != index}
-    return [(names[a], names[b]) for a, b in sorted(pairs)]
+    count = len(positions_m)
+    for index in np.setdiff1d(np.arange(count), known).tolist():
+        pairs |= {(min(index, other), max(index, other)) for other in range(count) if other != index}
+    return sorted(pairs)
 
 
 def pairs_with(names: list[str], chosen: tuple[str, ...], done: Pairs) -> Pairs:
     """Every pair with one of `chosen` in it that is not among `done` yet."""
     known = {frozenset(pair) for pair in done}
     wanted = set(chosen)
-    return [pair for pair in combinations(names, 2) if not wanted.isdisjoint(pair) and frozenset(pair) not in known]
+    return [
+        pair
+        for pair in combinations(names, 2)
+        if not wanted.isdisjoint(pair) and frozenset(pair) not in known and frame_of(pair[0]) != frame_of(pair[1])
+    ]

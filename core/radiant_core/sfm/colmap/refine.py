@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from radiant_core.panoramas import has_faces
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
 
@@ -33,11 +34,13 @@ MAX_FOCAL_CHANGE = 0.005
 
 
 def refine(model: pycolmap.Reconstruction, config: SfmConfig, report: Report) -> pycolmap.Reconstruction:
-    """`model` with all poses and points adjusted, and the lenses where its photographs fix them."""
+    """`model` with all poses and points adjusted, and the lenses where its photographs fix them;
+    not those of panoramas' faces, nor their rig, which are exact."""
     total = int(model.num_reg_images())
     report(SfmProgress(phase="refining", done=0, total=total))
-    refined = adjust(model, config, refine_lenses=True)
-    if not _same_lenses(model, refined):
+    has_rig = has_faces(model.image(image_id).name for image_id in model.reg_image_ids())
+    refined = adjust(model, config, refine_lenses=not has_rig)
+    if not has_rig and not _same_lenses(model, refined):
         refined = adjust(model, config, refine_lenses=False)
     refined.update_point_3d_errors()
     report(SfmProgress(phase="refining", done=total, total=total))
@@ -48,6 +51,7 @@ def adjust(model: pycolmap.Reconstruction, config: SfmConfig, *, refine_lenses: 
     """A copy of `model` with poses and points adjusted, and its lenses where asked for."""
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
+    options.refine_sensor_from_rig = False
     options.refine_focal_length = options.refine_extra_params = refine_lenses
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.loss_function_scale = LOSS_SCALE_PX

@@ -8,7 +8,7 @@ An image may also be contradicted by its own matches, which miss the epipolar li
 (`epipolar.py`). A few wrong matches suffice to place an image anywhere, and hundreds of points then
 follow from it: an image of lewis lay 58 % of the extent off with 416 points. But 60 % of its
 verified matches missed their epipolar lines; of the right images 4 % at most did, one of 34 points
-30 % (docs/experiments/sfm.md).
+30 % (docs/experiments/sfm.md). Images of one rig stand and fall as one frame.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from radiant_core.geometry.align import robust_sim3
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.epipolar import MAX_EPIPOLAR_PX, MIN_MATCHES, camera_rays, epipolar_errors
 from radiant_core.sfm.colmap.pairs import gps_positions
-from radiant_core.sfm.world_frame.align import robust_sim3
 
 IntArray = NDArray[np.int64]
 MIN_POINTS = 15
@@ -36,9 +36,9 @@ of a street lay 67 % of the extent off with 53 %, the right ones beside it had 6
 
 
 def remove(model: pycolmap.Reconstruction, image_ids: list[int]) -> None:
-    """Take images out of the model; points that hang on them alone go with them."""
-    for image_id in image_ids:
-        model.deregister_frame(model.image(image_id).frame_id)
+    """Take the frames of images out of the model; points that hang on them alone go with them."""
+    for frame_id in dict.fromkeys(model.image(image_id).frame_id for image_id in image_ids):
+        model.deregister_frame(frame_id)
 
 
 def without_strays(model: pycolmap.Reconstruction | None, photographs: tuple[Photograph, ...], seed: int) -> pycolmap.Reconstruction | None:
@@ -53,10 +53,17 @@ def without_strays(model: pycolmap.Reconstruction | None, photographs: tuple[Pho
 
 def _badly_seen(model: pycolmap.Reconstruction, photographs: tuple[Photograph, ...], seed: int) -> list[int]:
     ids = sorted(model.reg_image_ids())
-    num_points = np.array([model.image(image_id).num_points3D for image_id in ids])
+    frame_rows = _frame_rows(model, ids)
+    num_points = np.bincount(frame_rows, [model.image(image_id).num_points3D for image_id in ids])[frame_rows]
     far = _far_from_gps(model, ids, photographs, seed)
     stray = (num_points < MIN_POINTS) | (far & (num_points < FEW_POINTS))
     return [ids[index] for index in np.flatnonzero(stray)]
+
+
+def _frame_rows(model: pycolmap.Reconstruction, ids: list[int]) -> IntArray:
+    """The frame (N,) of each image, counted from 0 in the order of the images."""
+    rows: dict[int, int] = {}
+    return np.array([rows.setdefault(model.image(image_id).frame_id, len(rows)) for image_id in ids], np.int64)
 
 
 def _far_from_gps(model: pycolmap.Reconstruction, ids: list[int], photographs: tuple[Photograph, ...], seed: int) -> np.ndarray:
@@ -74,21 +81,30 @@ def _far_from_gps(model: pycolmap.Reconstruction, ids: list[int], photographs: t
 
 
 def _unconnected(model: pycolmap.Reconstruction) -> list[int]:
-    """Images outside the largest set in which each hangs on another by 15 common points or more."""
+    """Images outside the largest set in which each frame hangs on another by 15 common points or
+    more."""
     ids = sorted(model.reg_image_ids())
-    row_of = {image_id: row for row, image_id in enumerate(ids)}
+    frame_rows = _frame_rows(model, ids)
+    row_of = dict(zip(ids, frame_rows.tolist(), strict=True))
     seen_by = [(row, row_of[element.image_id]) for row, point in enumerate(model.points3D.values()) for element in point.track.elements]
     rows, columns = np.array(seen_by, np.int64).reshape(-1, 2).T
-    seen = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(model.num_points3D(), len(ids)))
+    num_frames = int(frame_rows.max(initial=-1)) + 1
+    seen = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(model.num_points3D(), num_frames))
     _, part = connected_components((seen.T @ seen) >= MIN_POINTS, directed=False)
+    part = part[frame_rows]
     largest = np.bincount(part).argmax() if ids else 0
     return [image_id for image_id, number in zip(ids, part, strict=True) if number != largest]
 
 
 def contradicted(model: pycolmap.Reconstruction, database: Path, least: float = LEAST_AGREEMENT) -> list[int]:
-    """Images of whose verified matches a smaller share than `least` agrees with the model, the
-    worst first; each is judged without those before it."""
+    """Images of whose frame's verified matches a smaller share than `least` agrees with the model,
+    the worst first; each frame is judged without those before it."""
     pairs, num_matches, num_agreeing = agreeing_matches(model, database)
+    members: dict[int, list[int]] = {}
+    for image_id in sorted(model.reg_image_ids()):
+        members.setdefault(model.image(image_id).frame_id, []).append(image_id)
+    first = {image_id: images[0] for images in members.values() for image_id in images}
+    pairs = np.array([[first[int(image_id)] for image_id in pair] for pair in pairs], np.int64).reshape(-1, 2)
     found: list[int] = []
     while len(pairs):
         ids, ends = np.unique(pairs, return_inverse=True)
@@ -98,7 +114,7 @@ def contradicted(model: pycolmap.Reconstruction, database: Path, least: float = 
         if shares.min() >= least:
             break
         worst = int(ids[shares.argmin()])
-        found.append(worst)
+        found += members[model.image(worst).frame_id]
         kept = (pairs != worst).all(axis=1)
         pairs, num_matches, num_agreeing = pairs[kept], num_matches[kept], num_agreeing[kept]
     return found

@@ -10,6 +10,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.photos.copies import copies_count, copies_warning
 from radiant_core.io.photos.folders import folders_warning, unread_warning
 from radiant_core.io.photos.listing import PhotoListing, doubts_warning, list_photographs, sea_warning, skipped_in_short
+from radiant_core.panoramas import has_faces
 from radiant_core.sfm.config import Report, SfmProgress
 
 DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json")
@@ -39,8 +40,9 @@ def warn_of_unused(listing: PhotoListing, beside: tuple[str, ...] = (), *, named
     them, and `beside` them; counted where their names are private."""
     num_usable = len(listing.photographs) + len(listing.copies)
     doubts = {photo.name: photo.position_doubt for photo in listing.photographs}
+    folders = () if has_faces(listing.content.names) else folders_warning(listing.content, named=named)
     common = (
-        *folders_warning(listing.content, named=named),
+        *folders,
         *unread_warning(listing.content.unread),
         *doubts_warning(doubts, len(listing.photographs), named=named),
         *sea_warning([photo.altitude_from_sea for photo in listing.photographs]),

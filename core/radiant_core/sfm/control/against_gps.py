@@ -16,6 +16,7 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.frames import Frame, Sim3, geodetic_from_enu
+from radiant_core.geometry.align import Alignment, robust_sim3
 from radiant_core.georef.control_points import ControlRequest, system_of
 from radiant_core.georef.likely_cause import likely_cause
 from radiant_core.io.photos.listing import Photograph
@@ -23,7 +24,6 @@ from radiant_core.numerics import FloatArray
 from radiant_core.sfm.colmap.pairs import gps_about, gps_positions
 from radiant_core.sfm.control.before_matching import cause_text, distance_text, listed_system
 from radiant_core.sfm.control.priors import accurate_positions, are_enough
-from radiant_core.sfm.world_frame.align import Alignment, robust_sim3
 from radiant_core.sfm.world_frame.contradictions import (
     FOOT_M,
     GROSS_LEAN_DEG,

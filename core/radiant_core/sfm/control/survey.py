@@ -15,6 +15,7 @@ import numpy as np
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3
+from radiant_core.geometry.align import fit_sim3, robust_sim3
 from radiant_core.georef.control_points import ControlPoints
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.numerics import FloatArray
@@ -30,7 +31,6 @@ from radiant_core.sfm.control.marked import Marked, marks_of
 from radiant_core.sfm.control.priors import accurate_positions, are_enough, middle_of, positions_about
 from radiant_core.sfm.control.quality import PointQuality, Summary, summarize
 from radiant_core.sfm.control.scale import scale_by_points, scale_by_positions
-from radiant_core.sfm.world_frame.align import fit_sim3, robust_sim3
 
 TIES_PER_IMAGE = 250
 FIRST_MARK_PX, LEAST_MARK_PX, LEAST_TIE_PX = 0.5, 0.1, 0.05

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from radiant_core.geometry.align import robust_sim3
 from radiant_core.numerics import FloatArray
-from radiant_core.sfm.world_frame.align import robust_sim3
 from radiant_core.sfm.world_frame.orient import level_fit
 
 MIN_ALTITUDES = 3

@@ -16,7 +16,7 @@ import numpy as np
 
 from radiant_core.choices import Contradictions
 from radiant_core.errors import BadInput
-from radiant_core.sfm.world_frame.align import Alignment
+from radiant_core.geometry.align import Alignment
 
 MAX_INDEPENDENT = 4
 """GPS drifts during a flight: more positions than these make nothing surer."""

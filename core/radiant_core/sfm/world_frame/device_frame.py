@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.frames import MAX_REACH_M, Frame, FrameUncertainty, Sim3, enu_from_geodetic
+from radiant_core.geometry.align import Alignment, robust_sim3
 from radiant_core.numerics import FloatArray, check_array
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.world_frame.align import Alignment, robust_sim3
 from radiant_core.sfm.world_frame.orient import level_fit
 from radiant_core.sfm.world_frame.up import UpEstimate, estimate_up, roll_deg
 from radiant_core.sfm.world_frame.world import MAX_GPS_ROLL_DEG

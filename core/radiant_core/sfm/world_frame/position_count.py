@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from radiant_core.geometry.align import Alignment
 from radiant_core.numerics import FloatArray
-from radiant_core.sfm.world_frame.align import Alignment
 
 FREE_NUMBERS = 3
 """So many positions any similarity fits nearly: their residuals say nothing."""

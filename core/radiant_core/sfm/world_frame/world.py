@@ -17,12 +17,12 @@ import numpy as np
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.frames import Frame, Sim3
+from radiant_core.geometry.align import Alignment, AlignStatus, robust_sim3
 from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap.pairs import gps_positions
-from radiant_core.sfm.world_frame.align import Alignment, AlignStatus, robust_sim3
 from radiant_core.sfm.world_frame.altitudes import fill_heights
 from radiant_core.sfm.world_frame.contradictions import (
     MAX_INDEPENDENT,

@@ -2,7 +2,8 @@
 
     up       head, shown Gaussians (a bit each), seen (a byte each, of 256 views or more two),
              [radii], values
-    down     head of limits, their Gaussians (a bit each), log scales; then as up
+    down     head of limits with the step and the Gaussians of the model, limited Gaussians (a bit
+             each), log scales; then as up
 
 The values of R Gaussians in K columns are float32; bfloat16 (8 bits of fraction, the range of
 float32); or blocks, an exponent for each tensor of a Gaussian and 8 bits for each value. No sender
@@ -30,8 +31,9 @@ from radiant_core.train.together.replica import Limits
 _FORMATS: tuple[StepFormat, ...] = get_args(StepFormat)
 _HEAD = struct.Struct("<4sBxHIQQd")
 """Mark, format, views, Gaussians shown, Gaussians of the model, step, loss."""
-_LIMITS = struct.Struct("<4sI")
-_MARK, _LIMITS_MARK = b"RSG1", b"RSL1"
+_LIMITS = struct.Struct("<4sIQQ")
+"""Mark, Gaussians limited, step, Gaussians of the model."""
+_MARK, _LIMITS_MARK = b"RSG1", b"RSL2"
 
 
 def encode_gradients(gradients: StepGradients, step: int, num_splats: int, layout: Layout, form: StepFormat) -> bytes:
@@ -65,6 +67,8 @@ def decode_gradients(
     mark, form_index, num_views, num_rows, count, of_step, loss = _HEAD.unpack_from(message)
     if mark != _MARK or form_index >= len(_FORMATS):
         raise BadInput("what came for a step is no gradients: its sender has another version.")
+    if (num_views, num_rows, count, of_step) == (0, 0, 0, step) and len(message) == len(encode_nothing(step)):
+        return StepGradients.nothing(layout)
     if (count, of_step) != (num_splats, step):
         raise BadInput(f"gradients are of step {of_step} and {count} Gaussians, expected step {step} and {num_splats}.")
     if num_views > most_views or num_rows > num_splats or (num_rows and not num_views):
@@ -96,22 +100,41 @@ def _seen_type(num_views: int) -> np.dtype:
     return np.dtype(np.uint8 if num_views < 256 else "<u2")
 
 
-def encode_limits(limits: Limits | None, num_splats: int) -> bytes:
-    """What stands before the sum of a step where axes are shortened; a head alone where none is."""
+def encode_nothing(step: int) -> bytes:
+    """The message of who does not know how many Gaussians the model has, and sums no view."""
+    return _HEAD.pack(_MARK, 0, 0, 0, 0, step, 0.0)
+
+
+def peek_total(total: bytes | memoryview) -> tuple[int, int] | None:
+    """Of which step and of how many Gaussians the root's message of a step is; None: it is none."""
+    if len(total) < _LIMITS.size:
+        return None
+    mark, _, step, num_splats = _LIMITS.unpack_from(total)
+    return (step, num_splats) if mark == _LIMITS_MARK else None
+
+
+def encode_limits(limits: Limits | None, step: int, num_splats: int) -> bytes:
+    """What stands before the sum of a step, with the axes that are shortened, if any are."""
     if limits is None or not len(limits.rows):
-        return _LIMITS.pack(_LIMITS_MARK, 0)
+        return _LIMITS.pack(_LIMITS_MARK, 0, step, num_splats)
     limited = np.zeros(num_splats, bool)
     limited[limits.rows] = True
-    return _LIMITS.pack(_LIMITS_MARK, len(limits.rows)) + np.packbits(limited).tobytes() + limits.log_scales.astype(np.float32).tobytes()
+    return (
+        _LIMITS.pack(_LIMITS_MARK, len(limits.rows), step, num_splats)
+        + np.packbits(limited).tobytes()
+        + limits.log_scales.astype(np.float32).tobytes()
+    )
 
 
-def decode_limits(message: bytes | memoryview, num_splats: int) -> tuple[Limits | None, int]:
+def decode_limits(message: bytes | memoryview, step: int, num_splats: int) -> tuple[Limits | None, int]:
     """The limits at the start of a message, and how many bytes they take; BadInput if damaged."""
     if len(message) < _LIMITS.size:
         raise BadInput(f"the sum of a step is {len(message)} bytes, expected {_LIMITS.size} or more.")
-    mark, count = _LIMITS.unpack_from(message)
-    if mark != _LIMITS_MARK or count > num_splats:
+    mark, count, of_step, of_count = _LIMITS.unpack_from(message)
+    if mark != _LIMITS_MARK:
         raise BadInput("what came for a step is no sum of gradients: its sender has another version.")
+    if (of_step, of_count) != (step, num_splats) or count > num_splats:
+        raise BadInput(f"the sum is of step {of_step} and {of_count} Gaussians, expected step {step} and {num_splats}.")
     if not count:
         return None, _LIMITS.size
     bits = -(-num_splats // 8)

@@ -33,6 +33,8 @@ class GroupCost:
     bytes_up: dict[str, list[int]] = field(default_factory=dict)
     """Of holders and edges."""
     bytes_down: list[int] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    """What machines that sum noticed of their senders."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +71,8 @@ def fit_in_process(
     """
     holders, top = members.holders, Replica(initial, group, options)
     relays = {edge: Relay(views, top.layout, group) for edge, views in members.edges.items()}
+    for relay in relays.values():
+        relay.begin(0, len(initial))
     of_edges = {edge: sum(views.values()) for edge, views in members.edges.items()}
     of_root = of_edges if members.has_relays else {name: views for each in members.edges.values() for name, views in each.items()}
     root = Root(top, of_root, camera_centers, group, sums_edges=members.has_relays)
@@ -83,9 +87,9 @@ def fit_in_process(
     def take_waiting() -> None:
         begun_s = clock()
         first, *others = holders.values()
-        total = first.take(waiting[0])
+        first.take(waiting[0])
         for holder in others:
-            holder.follow(first, total)
+            holder.follow(first)
         cost.take_s.append(clock() - begun_s)
         waiting.clear()
 
@@ -101,11 +105,15 @@ def fit_in_process(
             parts = {edge: {name: sent[name] for name in names} for edge, names in members.edges.items()}
             sent = {edge: timed(cost.sum_s.setdefault(edge, []), partial(relays[edge].message, parts[edge])) for edge in parts}
             for edge, message in sent.items():
-                cost.bytes_up.setdefault(edge, []).append(len(message))
+                cost.bytes_up.setdefault(edge, []).append(len(message) + len(relays[edge].state()))
+                cost.warnings += relays[edge].inbox.take_warnings()
         begun_s = clock()
         message, total = root.total(sent)
         cost.sum_s.setdefault("root", []).append(clock() - begun_s)
         cost.bytes_down.append(len(message))
+        cost.warnings += root.inbox.take_warnings()
+        for relay in relays.values():
+            relay.follow(message)
         root.take(total)
         waiting.append(message)
     return root.result(), cost

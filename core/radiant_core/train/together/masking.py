@@ -1,6 +1,7 @@
 """Masks that cancel in a sum: who sums gradients sees the sum, and noise from each device.
 
-    q     round(x / 2^e) of all N rows, int32; e per column, from the total of the step before
+    q     round(x / 2^e) of all N rows, int32; e per column, from the totals before, of which every
+          replica keeps the magnitudes, so that a device that comes back has the same units
     sent  q_i + Σ_{j > i} r_ij − Σ_{j < i} r_ji   (mod 2³²),   r_ij = ChaCha20(K_ij, step) on both
     Σ     of what all D send = Σ q_i (mod 2³²), exact in any order
 
@@ -41,8 +42,8 @@ _HEAD = struct.Struct("<4sIQQ")
 _MARK = b"RSM1"
 HEAD_ROOM_BITS = 6
 """A value may be 2⁶ times the largest of the step before; beyond it is cut."""
-FIRST_EXPONENT = -26
-"""Of the unit of the first step, before which no total says how large gradients are."""
+FIRST_MAGNITUDE = -2
+"""Before the first total nothing says how large gradients are: below 2⁻²."""
 LOSS_UNIT = 2.0**-20
 _MOST_EXPONENT = 140
 
@@ -104,22 +105,11 @@ class FixedPoint:
     exponents: NDArray[np.int64]
 
     @staticmethod
-    def first(layout: Layout) -> FixedPoint:
-        """Of the first step."""
-        return FixedPoint(exponents=np.full(layout.num_columns, FIRST_EXPONENT))
-
-    def next(self, total: StepGradients, num_senders: int, layout: Layout) -> FixedPoint:
-        """Of the step after `total`: by tensor, so that `num_senders` values 2^`HEAD_ROOM_BITS`
-        times its largest do not overflow. All who took the total get the same."""
-        if not len(total.rows):
-            return self
-        exponents = self.exponents.copy()
+    def of(magnitudes: NDArray[np.int64], num_senders: int) -> FixedPoint:
+        """Those in which `num_senders` values 2^`HEAD_ROOM_BITS` times the largest do not overflow,
+        from `next_magnitudes`. All with the same totals get the same."""
         largest_bits = 31 - HEAD_ROOM_BITS - int(np.ceil(np.log2(max(num_senders, 2))))
-        for columns in [*layout.columns.values(), slice(layout.growth, layout.growth + 1)]:
-            largest = float(np.abs(total.values[:, columns]).max(initial=0))
-            if largest > 0:
-                exponents[columns] = max(-_MOST_EXPONENT, int(np.frexp(largest)[1]) - largest_bits)
-        return FixedPoint(exponents=exponents)
+        return FixedPoint(exponents=np.maximum(magnitudes - largest_bits, -_MOST_EXPONENT))
 
     def quantise(self, gradients: StepGradients, num_splats: int, num_senders: int) -> NDArray[np.int32]:
         """(N K' + 2,) of all rows, K' columns and `seen`, then views and loss; cut where a sum of
@@ -142,6 +132,22 @@ class FixedPoint:
         seen = np.clip(table[rows, -1], 0, np.iinfo(np.uint16).max).astype(np.uint16)
         num_views = int(np.clip(numbers[-2], 0, np.iinfo(np.uint16).max))
         return StepGradients(num_views=num_views, loss=float(numbers[-1]) * LOSS_UNIT, rows=rows, values=values, seen=seen)
+
+
+def first_magnitudes(layout: Layout) -> NDArray[np.int64]:
+    """Before the first total, (K,)."""
+    return np.full(layout.num_columns, FIRST_MAGNITUDE)
+
+
+def next_magnitudes(magnitudes: NDArray[np.int64], total: StepGradients, layout: Layout) -> NDArray[np.int64]:
+    """m (K,), 2^(m−1) ≤ the largest |value| of a tensor < 2^m, after a total; of a tensor that is 0
+    throughout as before."""
+    after = magnitudes.copy()
+    for columns in [*layout.columns.values(), slice(layout.growth, layout.growth + 1)]:
+        largest = float(np.abs(total.values[:, columns]).max(initial=0))
+        if largest > 0:
+            after[columns] = np.frexp(largest)[1]
+    return after
 
 
 def encode_masked(gradients: StepGradients, step: int, num_splats: int, unit: FixedPoint, keys: MaskKeys) -> bytes:

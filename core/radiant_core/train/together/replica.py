@@ -32,9 +32,12 @@ from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainResult, TrainState
 from radiant_core.train.shapes import ShapeCounts, limit_shapes
 from radiant_core.train.together.gradients import Layout, StepGradients
+from radiant_core.train.together.masking import first_magnitudes, next_magnitudes
 from radiant_core.train.trainer import STEPS_BETWEEN_LIMITS, FitOptions, ModelFit, settled_rate_share
 from radiant_core.train.view_loss import ViewLoss, view_of_step
 from radiant_core.train.views import TrainingViews
+
+_MAGNITUDES = "magnitudes"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,13 +66,18 @@ class Group:
         old (docs/experiments/together.md)."""
         return float(np.clip(0.9 - 0.1 * (math.log2(self.views_per_step) - 2 + self.overlaps), 0.7, 0.9))
 
+    def edits(self, step: int) -> bool:
+        """Whether taking a step (from 0) may add or remove Gaussians."""
+        density, views = self.config.density, self.views_per_step
+        return not isinstance(density, NoDensification) and (step + 1) % _edits_every(density.every, views) == 0
+
     @property
     def stepping(self) -> TrainConfig:
         """The settings of steps of `views_per_step` views."""
         views, config = self.views_per_step, self.config
         factor, density = math.sqrt(views), config.density
         if not isinstance(density, NoDensification):
-            density = replace(density, every=max(1, round(density.every / views)))
+            density = replace(density, every=_edits_every(density.every, views))
         return replace(
             config,
             num_steps=group_steps(config.num_steps, views),
@@ -80,6 +88,10 @@ class Group:
             opacities_lr=factor * config.opacities_lr,
             sh0_lr=factor * config.sh0_lr,
         )
+
+
+def _edits_every(every: int, views_per_step: int) -> int:
+    return max(1, round(every / views_per_step))
 
 
 def group_steps(num_steps: int, views_per_step: int) -> int:
@@ -126,6 +138,7 @@ class Replica(ModelFit):
         self._parts = self._parts_of_group()
         self._view_loss = None if share is None else ViewLoss(share.views, self._config, options.backend, options.statistics_bytes)
         self._gradients: dict[str, NDArray[np.float32]] = {}
+        self._magnitudes = first_magnitudes(self.layout)
         self.failed_views: list[str] = []
         """Why views of this machine could not be counted."""
 
@@ -148,6 +161,12 @@ class Replica(ModelFit):
         """The columns of this model's gradients."""
         density = self._density
         return Layout.of(self._splats, tuple(self._rates), with_radii=density is not None and density.measures_radii)
+
+    @property
+    def magnitudes(self) -> NDArray[np.int64]:
+        """Those of the totals before, (K,) by `next_magnitudes`: units of masked gradients follow
+        from them."""
+        return self._magnitudes
 
     def contribute(self, step: int | None = None) -> StepGradients:
         """The gradients of this machine's views of a step, by default the next one, by the model as
@@ -208,13 +227,13 @@ class Replica(ModelFit):
         one process one stands for all holders."""
         self._splats, self._optimizer, self._rates = other._splats, other._optimizer, other._rates
         self._parts, self._losses, self.step = other._parts, other._losses, other.step
+        self._magnitudes = other._magnitudes
 
     @property
     def next_step_edits(self) -> bool:
         """Whether taking the next step may add or remove Gaussians, so that gradients of the model
         before it name other rows."""
-        density = self._config.density
-        return not isinstance(density, NoDensification) and (self.step + 1) % density.every == 0
+        return self._group.edits(self.step)
 
     def take(self, total: StepGradients, limits: Limits | None = None) -> None:
         """Take the next step by the sum of what all machines sent, after applying `limits`; a step
@@ -223,6 +242,8 @@ class Replica(ModelFit):
             with torch.no_grad():
                 rows = torch.from_numpy(limits.rows).to(self._splats.log_scales.device)
                 self._splats.log_scales[rows] = torch.from_numpy(limits.log_scales).to(self._splats.log_scales)
+        if self._group.masked:
+            self._magnitudes = next_magnitudes(self._magnitudes, total, self.layout)
         moment, views = self._moment(self.step), self._group.views_per_step
         settled = settled_rate_share(self.step * views, moment.progress, self._group.num_photographs, self._config.settle_epochs)
         self._set_rates(moment.progress, settled)
@@ -279,9 +300,16 @@ class Replica(ModelFit):
         """The model as this replica has it, and its figures."""
         return self._result(ShapeCounts())
 
+    def state(self) -> TrainState:
+        """A copy of all that changes from step to step."""
+        state = super().state()
+        return replace(state, arrays={**state.arrays, _MAGNITUDES: self._magnitudes}) if self._group.masked else state
+
     def restore(self, state: TrainState) -> None:
         """Go on from `state`; BadInput where it is of other inputs or configuration."""
         super().restore(state)
+        if self._group.masked:
+            self._magnitudes = _magnitudes_of(state, len(self._magnitudes))
         if self._view_loss is not None:
             self._view_loss.use_size(self._config.start_scale if self.progress < self._config.full_size_from else 1.0)
 
@@ -297,3 +325,10 @@ class Replica(ModelFit):
         """Where one of this machine's views stands: views of a step are numbered through."""
         view = view_of_step(step * share.num_views + number, len(share.views), self._config.seed)
         return replace(moment, step=step * self._group.views_per_step + share.first + number + 1, view=view)
+
+
+def _magnitudes_of(state: TrainState, count: int) -> NDArray[np.int64]:
+    magnitudes = state.arrays.get(_MAGNITUDES)
+    if magnitudes is None or magnitudes.shape != (count,):
+        raise BadInput("the state is of a training without masks: remove the checkpoint and train from the start.")
+    return magnitudes.astype(np.int64)

@@ -4,9 +4,11 @@
     limit         ‖∂loss/∂x‖ ≤ what any photograph can cause (below)        each message alone
     usual size    within a factor of the running median of all senders      three senders or more
     direction     the mean cosine to the others on rows that they show too  three senders or more
+    contradiction a size or a direction that most do not share              a warning, all count
 
 Once per step where messages of devices arrive, after `codec.py` refused what is damaged. Neighbours
-judge: as with models that are joined, two that contradict each other both stay.
+judge: as with models that are joined, two that contradict each other both stay, and so do four of
+whom two lie alike. A warning names all of them.
 
 The limit is that of a loss of one view: E = (1 − λ) L1 + λ (1 − SSIM), means over pixels (weighted
 ones too) and channels, x the rendered and y the photograph's values, 0 ≤ y ≤ 1.
@@ -34,7 +36,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -61,7 +63,7 @@ STEADY_STEPS = 8
 USUAL_STEPS = 16
 """Over which the usual length is the median of all senders'."""
 MIN_SENDERS = 3
-"""Fewer cannot say who of them is wrong."""
+"""Fewer cannot say who of them is wrong: a warning names both."""
 MIN_STEPS = 4
 """Before which nobody is left out for a direction."""
 MIN_SPREAD = 0.05
@@ -72,6 +74,9 @@ MIN_SHARE = 0.3
 """A sender whose mean cosine is surely below this share of the median of all contradicts them."""
 NUM_ERRORS = 3.0
 """Standard errors of a mean cosine that make it sure."""
+TIE_COSINE = 0.02
+"""Senders whose usual mean cosine is surely below it contradict each other: noise has 0; that of
+two honest devices may be 0.146 or more in each step (docs/experiments/privacy.md)."""
 SAMPLE = 16
 """Of so many Gaussians one is compared in a step, others in the next; a power of two."""
 MIN_SHARED = 16
@@ -175,6 +180,33 @@ class Standing:
 
 
 @dataclass(kw_only=True)
+class Gap:
+    """How two senders differ that are alone: by tensor the mean over steps, as in a `Standing`, of
+    the logarithm of the first one's length over the second's."""
+
+    num_steps: int = 0
+    logs: list[float] = field(default_factory=list)
+
+    def add(self, logs: NDArray[np.float64]) -> None:
+        """Count a step."""
+        self.num_steps += 1
+        before = np.array(self.logs) if self.logs else np.zeros(len(logs))
+        self.logs = (before + (logs - before) / min(self.num_steps, DIRECTION_STEPS)).tolist()
+
+    def words(self, names: Sequence[str]) -> str | None:
+        """In which tensor, of these names, the first is beyond a factor; "gradients" for most of
+        them; None before enough steps and for none."""
+        if self.num_steps < STEADY_STEPS:
+            return None
+        logs, most = np.array(self.logs), np.log([FACTORS.get(name, FACTOR) for name in names])
+        usual = float(np.median(logs))
+        if abs(usual) > math.log(STEADY_FACTOR):
+            return f"gradients are {math.exp(usual):.3g} times as long"
+        beyond = np.flatnonzero(np.abs(logs) > most)
+        return f"{names[beyond[0]]} are {math.exp(logs[beyond[0]]):.3g} times as long" if len(beyond) else None
+
+
+@dataclass(kw_only=True)
 class Scrutiny:
     """What a machine that sums knows of its senders; the same messages in the same order end in the
     same decisions."""
@@ -187,6 +219,16 @@ class Scrutiny:
     standings: dict[str, Standing] = field(default_factory=dict)
     recent: deque[list[list[float]]] = field(default_factory=lambda: deque(maxlen=USUAL_STEPS))
     """Lengths per view by tensor, of each sender, of the last steps."""
+    gaps: dict[str, Gap] = field(default_factory=dict)
+    """By the names of two senders that were alone in steps."""
+    ties: dict[str, str] = field(default_factory=dict)
+    """By the names of senders that contradict each other without a majority: how."""
+    _unsaid: list[str] = field(default_factory=list)
+
+    def take_warnings(self) -> list[str]:
+        """What has been noticed since it was last asked for."""
+        unsaid, self._unsaid = self._unsaid, []
+        return unsaid
 
     def refuse(self, step: int, sent: Mapping[str, StepGradients], num_splats: int, layout: Layout) -> dict[str, str]:
         """Why messages of a step do not count, by sender, in words; none of those that do."""
@@ -206,18 +248,29 @@ class Scrutiny:
     def state(self) -> dict[str, Any]:
         """What a checkpoint keeps, as JSON."""
         standings = {name: vars(each).copy() for name, each in self.standings.items()}
-        return {"secret": self.secret, "left_out": dict(self.left_out), "standings": standings, "recent": list(self.recent)}
+        gaps = {name: vars(each).copy() for name, each in self.gaps.items()}
+        left_out, ties = dict(self.left_out), dict(self.ties)
+        return {
+            "secret": self.secret,
+            "left_out": left_out,
+            "standings": standings,
+            "recent": list(self.recent),
+            "gaps": gaps,
+            "ties": ties,
+        }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from `state`."""
         self.secret, self.left_out = int(state["secret"]), dict(state["left_out"])
         self.standings = {name: Standing(**each) for name, each in state["standings"].items()}
         self.recent = deque(state["recent"], maxlen=USUAL_STEPS)
+        self.gaps, self.ties = {name: Gap(**each) for name, each in state["gaps"].items()}, dict(state["ties"])
 
     def _unusual(self, step: int, lengths: Mapping[str, NDArray[np.float64]], layout: Layout) -> dict[str, str]:
         """Those whose lengths differ by a factor from the median of all senders, in this step and
         in the last ones: sizes of photographs and numbers of Gaussians change for all at once."""
         if len(lengths) < MIN_SENDERS:
+            self._compare_lengths(step, lengths, layout)
             return {}
         names, reasons = tensor_names(layout), dict[str, str]()
         factors = np.array([FACTORS.get(name, FACTOR) for name in names])
@@ -230,23 +283,50 @@ class Scrutiny:
             if len(wrong):
                 reasons[name] = f"its {names[wrong[0]]} are {each[wrong[0]]:.3g} long, usual are {usual[1][wrong[0]]:.3g}"
             standing = self.standings.setdefault(name, Standing())
-            standing.add_size(float(np.median(np.log(np.maximum(each, _TINY) / np.maximum(usual[0], _TINY)))))
+            standing.add_size(float(np.median(_logs(each, usual[0]))))
             if standing.num_sizes >= STEADY_STEPS and abs(standing.sizes) > math.log(STEADY_FACTOR):
                 times = math.exp(standing.sizes)
                 self.left_out[name] = f"left out from step {step + 1} on: its gradients are {times:.3g} times as long as those of others"
         return reasons
 
+    def _compare_lengths(self, step: int, lengths: Mapping[str, NDArray[np.float64]], layout: Layout) -> None:
+        """Name two senders of whom one is much longer, step by step."""
+        if len(lengths) != 2:
+            return
+        (first, one), (second, other) = lengths.items()
+        gap = self.gaps.setdefault(f"{first} and {second}", Gap())
+        gap.add(_logs(one, other))
+        if (words := gap.words(tensor_names(layout))) is not None:
+            self._tie(step, (first, second), f"{first}'s {words} as {second}'s")
+
+    def _tie(self, step: int, senders: Sequence[str], how: str) -> None:
+        """Note, once for the same senders, that nobody can say which of them are right."""
+        names = f"{', '.join(senders[:-1])} and {senders[-1]}"
+        if names in self.ties:
+            return
+        self.ties[names] = how
+        self._unsaid.append(
+            f"{names} contradict each other from step {step + 1} on: {how}. Without a majority nobody can say who is right, "
+            "and all of them count: look at what each of them holds, or train with another device beside them."
+        )
+
     def _compare(self, step: int, sent: Mapping[str, StepGradients], num_splats: int, layout: Layout) -> None:
-        """Leave out whose directions, over many steps, are not those of the others."""
-        if len(sent) < MIN_SENDERS:
+        """Leave out whose directions, over many steps, are not those of the others; name all where
+        most do not share one."""
+        if len(sent) < 2:
             return
         phase = int(np.random.default_rng((self.secret, step)).integers(SAMPLE))
         for name, cosine in _cosines(sent, phase, num_splats, layout).items():
             self.standings.setdefault(name, Standing()).add(cosine)
         able = {name: self.standings[name] for name in sent if name in self.standings and self.standings[name].num_steps >= MIN_STEPS}
-        if len(able) < MIN_SENDERS:
+        if len(able) < 2:
             return
+        most = float(np.median([each.mean + NUM_ERRORS * each.error for each in able.values()]))
         usual = float(np.median([each.mean for each in able.values()]))
+        if most < TIE_COSINE:
+            self._tie(step, tuple(able), f"the mean cosine of their gradients of the same Gaussians is {usual:.3f}")
+        if len(able) < MIN_SENDERS or usual <= 0:
+            return
         for name, each in able.items():
             if each.mean + NUM_ERRORS * each.error < MIN_SHARE * usual:
                 self.left_out[name] = (
@@ -261,6 +341,13 @@ def _beyond(lengths: NDArray[np.float64], limits: NDArray[np.float64], layout: L
         return None
     tensor = tensor_names(layout)[wrong[0]]
     return f"its {tensor} of one view are {lengths[wrong[0]]:.3g} long, a photograph causes at most {limits[wrong[0]]:.3g}"
+
+
+def _logs(lengths: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """log (lengths / others), within 1.5 log `FACTOR`: a view of nothing is no constant lie."""
+    most = 1.5 * math.log(FACTOR)
+    one, other = (np.clip(each, _TINY, 1 / _TINY) for each in (lengths, others))
+    return np.clip(np.log(one / other), -most, most)
 
 
 def _cosines(sent: Mapping[str, StepGradients], phase: int, num_splats: int, layout: Layout) -> dict[str, float]:

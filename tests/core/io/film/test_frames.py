@@ -96,7 +96,7 @@ def test_frames_carry_the_positions_of_the_subtitles_and_are_made_once(tmp_path:
     assert re.search(r"\d+ of them blurred, of which 0 are taken for want of sharp ones$", taken.decision.reason)
     said, heights = taken.warnings
     assert said == f"DJI_0001.MP4: {taken.decision.choice}; 1 of 1 films have positions."
-    assert heights == "heights of a film's subtitles may be off by tens of metres: name no vertical datum in --crs."
+    assert heights == "heights that are written for a film may be off by tens of metres: name no vertical datum in --crs."
     before = {path: path.stat().st_mtime_ns for path in taken.folder.rglob("*.jpg")}
     first = sorted(before)[0]
     first.unlink()

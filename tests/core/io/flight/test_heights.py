@@ -25,9 +25,9 @@ from radiant_core.io.flight.kml import kml_route
 from radiant_core.io.flight.qgc import qgc_plan
 from radiant_core.io.flight.route import FlownHeights, Route, route_of
 from radiant_core.io.flight.wpml import KML, WPML, wpml_kmz
-from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.plan.heights import HEIGHT_KINDS, HeightLimits, height_codes
 from radiant_core.plan.waypoints import Waypoints
+from radiant_core.waypoints.reader import read_waypoints
 
 NS = {"k": KML, "w": WPML}
 GX = 'xmlns:gx="http://www.google.com/kml/ext/2.2"'
@@ -368,7 +368,7 @@ def test_limits_and_heights_are_numbers_in_order() -> None:
 
 
 def test_a_table_of_mixed_kinds_comes_back(tmp_path: Path) -> None:
-    from radiant_core.io.export.plan import COLUMNS, save_device_waypoints
+    from radiant_core.export.plan import COLUMNS, save_device_waypoints
     from radiant_core.io.records import load_plan_file, save_plan
     from tests.core.io.test_plan_export import planned
 

@@ -19,9 +19,9 @@ from radiant_core.io.flight.kml import kml_route
 from radiant_core.io.flight.qgc import qgc_plan
 from radiant_core.io.flight.route import FlownHeights, Route, route_of
 from radiant_core.io.flight.wpml import KML, WPML, wpml_kmz
-from radiant_core.io.waypoints.kml_reader import kml_rows
 from radiant_core.plan.heights import HEIGHT_KINDS
 from radiant_core.plan.waypoints import Waypoints
+from radiant_core.waypoints.kml_reader import kml_rows
 
 NS = {"k": KML, "w": WPML}
 

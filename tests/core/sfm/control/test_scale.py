@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from radiant_core.frames import geodetic_from_enu
+from radiant_core.geometry.align import fit_sim3
 from radiant_core.sfm.control.place import survey_record
 from radiant_core.sfm.control.quality import PointQuality
 from radiant_core.sfm.control.scale import scale_by_points, scale_by_positions
 from radiant_core.sfm.control.survey import adjust_to_survey
-from radiant_core.sfm.world_frame.align import fit_sim3
 from tests.core.sfm.control.surveyed_town import TRUE_ORIGIN, control, found_model, photographs
 from tests.core.sfm.control.test_survey import true_centers
 

@@ -16,9 +16,19 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.results import TrainResult
+from radiant_core.train.together.codec import encode_gradients, encode_limits
 from radiant_core.train.together.fold import GroupCost, GroupMembers, fit_in_process
 from radiant_core.train.together.gradients import StepGradients, sum_gradients
-from radiant_core.train.together.masking import FixedPoint, MaskKeys, check_sum, encode_masked, sum_masked, unmask_sum
+from radiant_core.train.together.masking import (
+    FixedPoint,
+    MaskKeys,
+    check_sum,
+    encode_masked,
+    first_magnitudes,
+    next_magnitudes,
+    sum_masked,
+    unmask_sum,
+)
 from radiant_core.train.together.replica import Group, Replica, Share
 from radiant_core.train.together.roles import Holder
 from radiant_core.train.trainer import FitOptions
@@ -41,7 +51,7 @@ def keys_of(names: list[str], run_id: str = "run") -> dict[str, MaskKeys]:
 
 def units(sent: dict[str, StepGradients]) -> FixedPoint:
     total = sum_gradients(list(sent.values()), NUM_SPLATS, LAYOUT)
-    return FixedPoint.first(LAYOUT).next(total, len(sent), LAYOUT)
+    return FixedPoint.of(next_magnitudes(first_magnitudes(LAYOUT), total, LAYOUT), len(sent))
 
 
 def test_both_of_a_pair_have_one_key_and_others_another() -> None:
@@ -204,6 +214,8 @@ def test_holders_of_sums_of_other_sizes_have_units_of_their_own_where_one_takes_
     layout = holders["d0"].replica.layout
     values = np.full((1, layout.num_columns), 0.5, np.float32)
     total = StepGradients(num_views=5, loss=0.1, rows=np.array([3]), values=values, seen=np.array([2], np.uint16))
+    holders["d0"].take(encode_limits(None, 0, len(truth)) + encode_gradients(total, 0, len(truth), layout, "float32"))
     for name in ("d1", "d2"):
-        holders[name].follow(holders["d0"], total)
-    assert (holders["d2"].unit.exponents - holders["d1"].unit.exponents == 1).all()
+        holders[name].follow(holders["d0"])
+    of_two, of_three = (holders[name].unit_of(keys[name]).exponents for name in ("d1", "d2"))
+    assert (of_three - of_two == 1).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -154,12 +155,70 @@ def test_who_contradicts_the_others_is_left_out_for_good(kind: str) -> None:
     assert f"left out from step {refused_at['d1'] + 1} on" in scrutiny.left_out["d1"]
 
 
-def test_two_senders_do_not_judge_each_other() -> None:
+def flipped(gradients: StepGradients, step: int) -> StepGradients:
+    signs = np.where(np.arange(LAYOUT.num_columns) < LAYOUT.growth, -1, 1).astype(np.float32)
+    return replace(gradients, values=signs * gradients.values)
+
+
+def noise(gradients: StepGradients, step: int) -> StepGradients:
+    drawn = np.random.default_rng((9, step)).standard_normal(gradients.values.shape) * gradients.values.std()
+    drawn[:, LAYOUT.growth] = gradients.values[:, LAYOUT.growth]
+    return replace(gradients, values=drawn.astype(np.float32))
+
+
+def long(gradients: StepGradients, step: int) -> StepGradients:
+    return replace(gradients, values=np.float32(20) * gradients.values)
+
+
+def growing(gradients: StepGradients, step: int) -> StepGradients:
+    factors = np.where(np.arange(LAYOUT.num_columns) == LAYOUT.growth, 50, 1).astype(np.float32)
+    return replace(gradients, values=factors * gradients.values)
+
+
+@pytest.mark.parametrize(
+    ("lie", "words"), [(flipped, "mean cosine"), (noise, "mean cosine"), (long, "d0's gradients are 0.0"), (growing, "growth are 0.0")]
+)
+def test_two_senders_that_contradict_each_other_both_count_and_are_both_named_once(
+    lie: Callable[[StepGradients, int], StepGradients], words: str
+) -> None:
+    scrutiny, warned = Scrutiny(config=CONFIG), list[str]()
+    for step in range(90):
+        sent = step_of(2, step)
+        assert scrutiny.refuse(step, {**sent, "d1": lie(sent["d1"], step)}, NUM_SPLATS, LAYOUT) == {}
+        warned += scrutiny.take_warnings()
+        if step == 70:
+            # One that begins anew says nothing twice.
+            state, scrutiny = scrutiny.state(), Scrutiny(config=CONFIG)
+            scrutiny.restore(json.loads(json.dumps(state)))
+    assert len(warned) == 1 and warned[0].startswith("d0 and d1 contradict each other from step ")
+    assert words in warned[0] and "all of them count" in warned[0]
+
+
+def test_two_honest_senders_do_not_contradict_each_other() -> None:
+    scrutiny = Scrutiny(config=CONFIG)
+    for step in range(120):
+        sent = step_of(2, step, agree=0.3 / (1 + step / 60), size=1e-3 / (1 + step / 50))
+        assert scrutiny.refuse(step, sent, NUM_SPLATS, LAYOUT) == {}
+    assert scrutiny.take_warnings() == [] and scrutiny.ties == {}
+
+
+def test_two_of_four_that_lie_alike_are_no_majority_and_all_are_named() -> None:
     scrutiny = Scrutiny(config=CONFIG)
     for step in range(60):
-        sent = step_of(2, step)
-        sent["d1"] = replace(sent["d1"], values=np.abs(sent["d1"].values) * np.float32(20))
+        sent = step_of(4, step, agree=0.8)
+        sent |= {name: flipped(sent[name], step) for name in ("d1", "d3")}
         assert scrutiny.refuse(step, sent, NUM_SPLATS, LAYOUT) == {}
+    (warning,) = scrutiny.take_warnings()
+    assert warning.startswith("d0, d1, d2 and d3 contradict each other") and scrutiny.left_out == {}
+
+
+def test_a_view_of_nothing_is_refused_and_its_sender_counts_again() -> None:
+    scrutiny = Scrutiny(config=CONFIG)
+    for step in range(40):
+        sent = step_of(4, step)
+        if step == 3:
+            sent["d2"] = replace(StepGradients.nothing(LAYOUT), num_views=1, loss=0.2)
+        assert set(scrutiny.refuse(step, sent, NUM_SPLATS, LAYOUT)) == ({"d2"} if step == 3 else set())
 
 
 def test_a_restored_scrutiny_decides_as_the_one_that_went_on() -> None:
@@ -207,9 +266,9 @@ def test_an_inbox_counts_what_it_refuses_and_why() -> None:
         messages = {name: encode_gradients(each, step, NUM_SPLATS, LAYOUT, "float32") for name, each in sent.items()}
         usable = inbox.read(messages, step, NUM_SPLATS, LAYOUT)
         assert [len(each.rows) for each in usable] == [len(sent["d0"].rows), len(sent["d2"].rows)]
-    assert {name: len(reasons) for name, reasons in inbox.refused.items()} == {"d1": 3, "d3": 3}
-    assert inbox.refused["d3"][2].startswith("step 3: gradients of step 3 are not finite")
-    assert "a photograph causes at most" in inbox.refused["d1"][0]
+    assert {name: refused.count for name, refused in inbox.refused.items()} == {"d1": 3, "d3": 3}
+    assert inbox.refused["d3"].first.startswith("step 1: gradients of step 1 are not finite")
+    assert "a photograph causes at most" in inbox.refused["d1"].first
 
 
 def test_the_shape_of_a_message_of_no_gaussian_is_fine() -> None:

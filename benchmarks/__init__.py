@@ -1,0 +1,1 @@
+"""Benchmarks: run time beside error, as lists of metrics. Run in the source, not installed."""

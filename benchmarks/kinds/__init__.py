@@ -1,0 +1,1 @@
+"""Every helper of a training on every kind of scene: what it gains or costs."""

@@ -1,0 +1,1 @@
+"""Equirectangular photographs, and the pinhole photographs that are cut from them."""

@@ -1,0 +1,157 @@
+"""The surface of a height map as facets, and which of them a place sees. Once per map.
+
+    top    a facet per known cell, facing up along its slope
+    wall   where neighbours differ in height by more than `STEP_CELLS` cells: a stack of facets of a
+           cell's height between them, facing the lower cell
+
+A ray from a facet to an eye is followed from cell to cell up to the highest surface; it is blocked
+where it runs more than `TOLERANCE_CELLS` cells below the height there. Cells that are not known
+block nothing. A surface that hangs over is not described. K facets; H × W cells of side c.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+from radiant_core.survey.heights import UNKNOWN, HeightMap
+
+STEP_CELLS = 1.5
+TOLERANCE_CELLS = 0.25
+LIFT_CELLS = 0.6
+"""How far before its facet a ray begins, so that the facet's cell does not block it."""
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Facets:
+    """places (K,3) on the map, normals (K,3) of length 1, areas (K,) in square units, is_wall (K,),
+    cells (K,2): row and column of the cell that a top is of, or that a wall faces."""
+
+    surface: HeightMap
+    places: FloatArray
+    normals: FloatArray
+    areas: FloatArray
+    is_wall: NDArray[np.bool_]
+    cells: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    @cached_property
+    def highest(self) -> float:
+        """The highest known height."""
+        return float(np.nanmax(self.surface.heights))
+
+    def seen_from(self, eye: FloatArray, rows: Rows) -> NDArray[np.bool_]:
+        """Which facets (R,), of `rows`, no other surface hides from an eye (3,) on the map; whether
+        they face it does not count."""
+        cell, heights = self.surface.grid.cell, self.surface.heights
+        start = self.places[rows] + LIFT_CELLS * cell * self.normals[rows]
+        ahead = eye - start
+        level = np.maximum(np.linalg.norm(ahead[:, :2], axis=1), 1e-9 * cell)
+        rise = ahead[:, 2] / level
+        # A ray above everything, or at its eye, meets nothing any more.
+        climb = np.where(rise > 0, (self.highest - start[:, 2]) / np.maximum(rise, 1e-12), np.inf)
+        ends = np.floor(np.minimum(level, climb) / cell)
+        step = np.column_stack([ahead[:, :2] / level[:, None], rise]) * cell
+        seen, going = np.ones(len(rows), bool), np.flatnonzero(ends >= 1)
+        at = start.copy()
+        for number in range(1, int(ends.max(initial=0)) + 1):
+            going = going[ends[going] >= number]
+            at[going] += step[going]
+            found = np.floor(self.surface.grid.cells_of(at[going, :2])).astype(np.int64)
+            inside = np.asarray(((found >= 0) & (found < heights.shape)).all(axis=1))
+            there = np.where(inside[:, None], found, 0)
+            # NaN, where nothing is known, compares as false.
+            is_hit = inside & (heights[there[:, 0], there[:, 1]] > at[going, 2] + TOLERANCE_CELLS * cell)
+            seen[going[is_hit]] = False
+            going = going[~is_hit]
+            if not len(going):
+                break
+        return seen
+
+
+def facets_of(surface: HeightMap) -> Facets:
+    """The facets of all known cells, their heights smoothed by the median of 3 × 3 cells; BadInput
+    where none is known."""
+    known = surface.source != UNKNOWN
+    if not known.any():
+        raise BadInput("no height of the surface is known, so it has no facets: train the model further.")
+    smooth = _median(surface.heights, known)
+    surface = HeightMap(grid=surface.grid, heights=smooth, sigma=surface.sigma, source=surface.source)
+    parts = [_tops(surface, known), *(_walls(surface, known, axis) for axis in (0, 1))]
+    places, normals, areas = (np.concatenate([part[index] for part in parts]).astype(np.float64) for index in range(3))
+    cells = np.concatenate([part[3] for part in parts])
+    is_wall = np.arange(len(places)) >= len(parts[0][0])
+    return Facets(surface=surface, places=places, normals=normals, areas=areas, is_wall=is_wall, cells=cells)
+
+
+_Part = tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]
+
+
+def _median(heights: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
+    """The median of each 3 × 3 cells; what is not known stays so, and takes part as its own cell's
+    mean of the known ones."""
+    level = float(np.nanmedian(heights))
+    filled = np.where(known, heights - level, 0.0).astype(np.float32)
+    weights = cv2.blur(known.astype(np.float32), (3, 3))
+    around = cv2.blur(filled, (3, 3)) / np.maximum(weights, 1e-6)
+    middle = cv2.medianBlur(np.where(known, filled, around).astype(np.float32), 3)
+    return np.where(known, middle.astype(np.float64) + level, np.nan)
+
+
+def _tops(surface: HeightMap, known: NDArray[np.bool_]) -> _Part:
+    east, north = surface.grid.centers()
+    rows, columns = np.nonzero(known)
+    # Rows run south: the slope northwards is against them.
+    slopes = [_slope(surface.heights, 1)[rows, columns], -_slope(surface.heights, 0)[rows, columns]]
+    normals = np.column_stack([-slopes[0], -slopes[1], np.full(len(rows), surface.grid.cell)])
+    lengths = np.linalg.norm(normals, axis=1)
+    places = np.column_stack([east[columns], north[rows], surface.heights[rows, columns]])
+    areas = surface.grid.cell**2 * lengths / surface.grid.cell
+    return places, normals / lengths[:, None], areas, np.column_stack([rows, columns])
+
+
+def _slope(heights: FloatArray, axis: int) -> FloatArray:
+    """Rise (H,W) to the next cell along an axis: the smaller one of both sides, 0 where they
+    differ in sign, so that a step beside a cell does not tilt it."""
+    step = np.diff(heights, axis=axis)
+    pad = [(0, 0), (0, 0)]
+    pad[axis] = (1, 0)
+    before = np.nan_to_num(np.pad(step, pad))
+    pad[axis] = (0, 1)
+    after = np.nan_to_num(np.pad(step, pad))
+    smaller = np.where(np.abs(before) < np.abs(after), before, after)
+    return np.where(before * after > 0, smaller, 0.0)
+
+
+def _walls(surface: HeightMap, known: NDArray[np.bool_], axis: int) -> _Part:
+    """The walls between each cell and the next one along an axis: 0 southwards, 1 eastwards."""
+    cell, grid, heights = surface.grid.cell, surface.grid, surface.heights
+    first = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
+    second = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
+    rise = np.where(known[first] & known[second], heights[second] - heights[first], 0.0)
+    rows, columns = np.nonzero(np.abs(rise) > STEP_CELLS * cell)
+    steps = rise[rows, columns]
+    counts = np.maximum(1, np.rint(np.abs(steps) / cell).astype(np.int64))
+    of = np.repeat(np.arange(len(rows)), counts)
+    number = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
+    share = (number + 0.5) / np.maximum(counts[of], 1)
+    z = heights[first][rows, columns][of] + steps[of] * share
+    east, north = grid.north_west[0] + cell * (columns[of] + 0.5), grid.north_west[1] - cell * (rows[of] + 0.5)
+    east, north = (east, north - cell / 2) if axis == 0 else (east + cell / 2, north)
+    # The wall faces the lower cell: against the rise.
+    sign = -np.sign(steps[of])
+    normals = np.zeros((len(of), 3))
+    normals[:, 0 if axis == 1 else 1] = sign if axis == 1 else -sign
+    cells = np.column_stack([rows[of], columns[of]])
+    cells[:, axis] += steps[of] < 0
+    areas = cell * np.abs(steps[of]) / np.maximum(counts[of], 1)
+    return np.column_stack([east, north, z]), normals, areas, cells

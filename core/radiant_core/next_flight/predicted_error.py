@@ -1,0 +1,200 @@
+"""Which error a model has at each facet, predicted from what is known of it. Once per map.
+
+    y = −10 log10(mean squared error of a render about the facet's pixel)     dB, more is better
+    y ≈ a + f(y in the training photographs) + g(log det J)                   f, g rising
+
+The first term knows how hard a place is to show, the second how well it was photographed. f and g
+are fitted to held-out photographs by turns, each the closest rising function to what the other
+leaves (isotonic regression; Bacchetti, J. Am. Stat. Assoc. 84, 1989). How far it can be trusted is
+measured on photographs that took no part in its fit: `margin_db` is what nine of ten cells there
+exceed, `rank` the correlation of ranks. M samples: a facet in a held-out photograph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
+from scipy.stats import rankdata
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.image_error import MIN_SQUARED_ERROR
+from radiant_core.next_flight.facets import Rows
+from radiant_core.next_flight.sightings import Sighting
+from radiant_core.numerics import FloatArray
+from radiant_core.render.rendered_view import render_views
+from radiant_core.splats import Splats
+
+NUM_FOLDS, NUM_ROUNDS = 5, 8
+MARGIN = 0.1
+"""Share of the cells that may be worse than they are called."""
+MIN_SAMPLES = 100
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ErrorSamples:
+    """rows (M,) of facets, photograph (M,) that saw it, held_db (M,): y there, train_db (M,): mean
+    y of the training photographs at that facet, score (M,): log det J."""
+
+    rows: Rows
+    photograph: NDArray[np.int64]
+    held_db: FloatArray
+    train_db: FloatArray
+    score: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def select(self, chosen: NDArray[np.bool_]) -> ErrorSamples:
+        """The samples that a mask (M,) chooses."""
+        return ErrorSamples(
+            rows=self.rows[chosen],
+            photograph=self.photograph[chosen],
+            held_db=self.held_db[chosen],
+            train_db=self.train_db[chosen],
+            score=self.score[chosen],
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rising:
+    """A rising function by its values at rising places, both (P,); constant beyond the ends."""
+
+    at: FloatArray
+    values: FloatArray
+
+    def __call__(self, places: FloatArray) -> FloatArray:
+        """Its values (K,)."""
+        return np.interp(places, self.at, self.values)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ErrorModel:
+    """The fitted prediction, and how it did on photographs that took no part in it: None where
+    there are fewer than two."""
+
+    middle_db: float
+    by_training: Rising
+    by_score: Rising
+    num_cells: int
+    num_photographs: int
+    margin_db: float | None = None
+    """Nine of ten cells are at most so many dB worse than predicted."""
+    rank: float | None = None
+    """Spearman's correlation of predicted and true error over cells."""
+    good: float | None = None
+    """Share of the cells not used in a fit that were at least as good as predicted less the margin
+    of the others."""
+
+    def predict(self, train_db: FloatArray, score: FloatArray) -> FloatArray:
+        """y (K,) of facets; NaN where no training photograph shows one."""
+        return np.where(np.isfinite(train_db), self.middle_db + self.by_training(np.nan_to_num(train_db)) + self.by_score(score), np.nan)
+
+
+def errors_in_views(
+    splats: Splats, cameras: Cameras, images: Sequence[NDArray[np.uint8]], sightings: Sequence[Sighting], cell: float
+) -> Iterator[FloatArray]:
+    """Per camera the mean squared error (R,) of the model about the pixels of the facets that it
+    sees, over a square as wide as a cell there usually is; images (H,W,3) of the cameras' sizes."""
+    for view, image, sighting in zip(render_views(splats, cameras), images, sightings, strict=True):
+        squared = np.square(view.image - image.astype(np.float32) / 255).mean(axis=2)
+        side = max(1, round(cell / float(np.median(sighting.gsd)))) if len(sighting.rows) else 1
+        smooth = cv2.blur(squared, (side, side), borderType=cv2.BORDER_REFLECT)
+        columns, lines = sighting.pixels.astype(np.int64).T if len(sighting.rows) else np.zeros((2, 0), np.int64)
+        yield smooth[np.minimum(lines, smooth.shape[0] - 1), np.minimum(columns, smooth.shape[1] - 1)].astype(np.float64)
+
+
+def mean_errors_db(count: int, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> FloatArray:
+    """y (K,) of the mean over views at each of `count` facets; NaN where none sees one."""
+    total, number = np.zeros(count), np.zeros(count)
+    for sighting, error in zip(sightings, errors, strict=True):
+        total[sighting.rows] += error
+        number[sighting.rows] += 1
+    return np.where(number > 0, decibels(total / np.maximum(number, 1)), np.nan)
+
+
+def decibels(squared: FloatArray) -> FloatArray:
+    """y (K,) of mean squared errors."""
+    return -10 * np.log10(np.maximum(squared, MIN_SQUARED_ERROR))
+
+
+def rank_correlation(a: FloatArray, b: FloatArray) -> float:
+    """Spearman's correlation of two lists (M,)."""
+    return float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
+
+
+def error_samples(train_db: FloatArray, score: FloatArray, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> ErrorSamples:
+    """Samples of held-out photographs at facets that training photographs show too."""
+    rows = np.concatenate([sighting.rows for sighting in sightings]) if sightings else np.zeros(0, np.int64)
+    photograph = np.repeat(np.arange(len(sightings)), [len(sighting.rows) for sighting in sightings])
+    held_db = decibels(np.concatenate(errors)) if errors else np.zeros(0)
+    samples = ErrorSamples(rows=rows, photograph=photograph, held_db=held_db, train_db=train_db[rows], score=score[rows])
+    return samples.select(np.isfinite(samples.train_db))
+
+
+def fit_errors(samples: ErrorSamples) -> ErrorModel:
+    """The prediction from samples of held-out photographs; BadInput for fewer than 100 of them."""
+    if len(samples) < MIN_SAMPLES:
+        raise BadInput(
+            f"held-out photographs show {len(samples)} cells that training photographs show too, at least {MIN_SAMPLES} are needed to "
+            "predict errors: hold more photographs out, or choose smaller cells."
+        )
+    model = _fit(samples)
+    names = np.unique(samples.photograph)
+    if len(names) < 2:
+        return model
+    folds = np.searchsorted(names, samples.photograph) % min(NUM_FOLDS, len(names))
+    predicted = np.full(len(samples), np.nan)
+    for fold in range(int(folds.max()) + 1):
+        others = _fit(samples.select(folds != fold))
+        own = samples.select(folds == fold)
+        predicted[folds == fold] = others.predict(own.train_db, own.score)
+    excess = samples.held_db - predicted
+    return ErrorModel(
+        middle_db=model.middle_db,
+        by_training=model.by_training,
+        by_score=model.by_score,
+        num_cells=model.num_cells,
+        num_photographs=model.num_photographs,
+        margin_db=float(max(0.0, -np.quantile(excess, MARGIN))),
+        rank=rank_correlation(predicted, samples.held_db),
+        good=_good_share(excess, folds),
+    )
+
+
+def _good_share(excess: FloatArray, folds: NDArray[np.int64]) -> float:
+    """Share of the samples (M,) at least as good as called, a fold by the margin of the others."""
+    is_good = np.zeros(len(excess), bool)
+    for fold in range(int(folds.max()) + 1):
+        margin_db = -np.quantile(excess[folds != fold], MARGIN)
+        is_good[folds == fold] = excess[folds == fold] >= -margin_db
+    return float(is_good.mean())
+
+
+def _fit(samples: ErrorSamples) -> ErrorModel:
+    middle_db = float(samples.held_db.mean())
+    left = samples.held_db - middle_db
+    by_training, by_score = Rising(at=np.zeros(1), values=np.zeros(1)), Rising(at=np.zeros(1), values=np.zeros(1))
+    for _ in range(NUM_ROUNDS):
+        by_training = _closest_rising(samples.train_db, left - by_score(samples.score))
+        by_score = _closest_rising(samples.score, left - by_training(samples.train_db))
+    return ErrorModel(
+        middle_db=middle_db,
+        by_training=by_training,
+        by_score=by_score,
+        num_cells=len(np.unique(samples.rows)),
+        num_photographs=len(np.unique(samples.photograph)),
+    )
+
+
+def _closest_rising(at: FloatArray, values: FloatArray) -> Rising:
+    """The rising function closest to values (M,) at places (M,), of mean 0."""
+    places, owner = np.unique(at, return_inverse=True)
+    counts = np.bincount(owner)
+    found = np.asarray(isotonic_regression(np.bincount(owner, weights=values) / counts, weights=counts).x)
+    return Rising(at=places, values=found - np.average(found, weights=counts))

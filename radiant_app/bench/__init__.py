@@ -1,1 +1,0 @@
-"""Benchmarks: run time beside error, as lists of metrics."""

@@ -1,0 +1,1 @@
+"""A run or a model in the files of other programs."""

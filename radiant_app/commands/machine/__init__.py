@@ -1,0 +1,1 @@
+"""What this machine has, and what it takes to train and to join here."""

@@ -1,0 +1,1 @@
+"""Regions before capture, and plans that are made again for the devices that are left."""

@@ -1,0 +1,190 @@
+"""What a finished run's photographs and model say of each cell of its surface: the map of what is
+known, as known.tif, known.geojson and known.png.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_app.commands.run.steps import stage_bar
+from radiant_app.commands.survey.parts import Survey, support_of_survey
+from radiant_app.commands.survey.surface import photographs_of_survey
+from radiant_app.events import Decided, Warned
+from radiant_app.report.progress import ProgressDisplay
+from radiant_core.cameras import Cameras
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
+from radiant_core.geometry.cleaning import keeps_places
+from radiant_core.io.run_store import write_json
+from radiant_core.next_flight.capture_faults import CaptureFault, capture_faults
+from radiant_core.next_flight.facets import Facets
+from radiant_core.next_flight.layers import BANDS, CLASSES, HOLE, WEAK, KnownMap, support_raster, weak_features
+from radiant_core.next_flight.model_surface import MapView, facets_of_model
+from radiant_core.next_flight.sightings import Sights, known_by
+from radiant_core.numerics import FloatArray
+from radiant_core.survey.geojson import to_geojson
+from radiant_core.survey.map_grid import grid_over
+
+if TYPE_CHECKING:
+    from radiant_core.next_flight.predicted_error import ErrorModel
+
+PIXELS_PER_CELL = 4.0
+MOST_CELLS = 20_000
+"""Cells are wider than `PIXELS_PER_CELL` where they would be more: each is asked for of every
+candidate view."""
+LONG_SIDE_PX, THUMBNAIL_PX = 320, 160
+TILE_PX = 256
+STAGE = "known"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundMap:
+    """The map, how its errors were predicted, and looks at its facets; errors: None where no
+    held-out photograph is at hand."""
+
+    survey: Survey
+    sights: Sights
+    layers: KnownMap
+    errors: ErrorModel | None
+    faults: tuple[CaptureFault, ...] = ()
+
+    @property
+    def trained(self) -> Cameras:
+        """The cameras whose photographs the model was trained on."""
+        return self.survey.run.scene.cameras.select(np.array(self.survey.trained, np.int64))
+
+
+def find_known(survey: Survey, resolution: float | None, display: ProgressDisplay) -> FoundMap:
+    """What is known of the surface in cells of `resolution`, by default of four pixels of the
+    photographs, and at most `MOST_CELLS` of them. BadInput where the model has no surface."""
+    cell = _cell(survey, resolution, display)
+    facets = _facets(survey, cell, display)
+    sights = Sights(facets, survey.map_frame)
+    cameras = survey.run.scene.cameras.select(np.array(survey.trained, np.int64))
+    with stage_bar(display, "views") as report:
+        sightings = sights.all_of(cameras, lambda done, total: report(done, total, "photographs"))
+    known = known_by(sights, cameras, sightings)
+    faults = capture_faults(survey.run.scene, survey.ground.reach, _small_images(survey))
+    for fault in faults:
+        display(Warned(stage=STAGE, message=fault.sentence))
+    error_db, model = _errors(survey, sights, known.score, display)
+    support = support_raster(facets, survey.map_frame, survey.splats, support_of_survey(survey, display, LONG_SIDE_PX))
+    margin_db = None if model is None else model.margin_db
+    layers = KnownMap(facets=facets, known=known, support=support, error_db=error_db, margin_db=margin_db)
+    return FoundMap(survey=survey, sights=sights, layers=layers, errors=model, faults=faults)
+
+
+def write_known(found: FoundMap, folder: Path) -> dict[str, Any]:
+    """Write known.tif and known.geojson into the existing folder, and return the figures."""
+    grid, survey = found.layers.facets.surface.grid, found.survey
+    raster = TiledRaster(place=grid, shape=grid.shape, bands=BANDS, tile_px=TILE_PX, dtype=np.float32, no_data=NO_DATA, classes=CLASSES)
+    save_tiles(folder / "known.tif", raster, cut_tiles(found.layers.bands(NO_DATA), TILE_PX, NO_DATA))
+    about = {"unit": survey.run.unit, **_error_figures(found.errors)}
+    write_json(folder / "known.geojson", to_geojson(survey.map_frame, weak_features(found.layers, survey.map_frame), about))
+    return {"crs": survey.map_frame.crs, "cells": f"{grid.columns} x {grid.rows}", "resolution": grid.cell, **figures_of(found)}
+
+
+def figures_of(found: FoundMap) -> dict[str, Any]:
+    """Areas of holes and weak surface, and how far the predicted error can be trusted."""
+    layers = found.layers
+    areas: dict[str, Any] = {
+        f"{name}_{on}": round(layers.area_of(kind, walls=walls), 1)
+        for kind, name in ((HOLE, "hole"), (WEAK, "weak"))
+        for on, walls in (("ground", False), ("walls", True))
+    }
+    total = float(layers.facets.areas.sum())
+    areas["capture"] = " ".join(fault.sentence for fault in found.faults) or "no fault"
+    return {"surface": round(total, 1), **areas, "unit": found.survey.run.unit, **_error_figures(found.errors)}
+
+
+def _error_figures(model: ErrorModel | None) -> dict[str, Any]:
+    if model is None:
+        return {"predicted_error": "none: no held-out photograph is at hand"}
+    rounded = {
+        name: None if value is None else float(f"{value:.3g}")
+        for name, value in (("rank", model.rank), ("good", model.good), ("margin_db", model.margin_db))
+    }
+    return {"error_cells": model.num_cells, "error_photographs": model.num_photographs, **rounded}
+
+
+def _cell(survey: Survey, resolution: float | None, display: ProgressDisplay) -> float:
+    if resolution is not None:
+        if not (np.isfinite(resolution) and resolution > 0):
+            raise BadInput(f"a resolution of {resolution} was asked for, expected a number above zero.")
+        return resolution
+    ground = survey.ground
+    area = float(np.prod(ground.high - ground.low))
+    fine, coarse = PIXELS_PER_CELL * ground.gsd, float(np.sqrt(area / MOST_CELLS))
+    cell = float(f"{max(fine, coarse):.2g}")
+    reason = "four pixels of the photographs" if fine >= coarse else f"four pixels would make more than {MOST_CELLS:,} cells"
+    decision = Decision(
+        stage=STAGE, topic="resolution", choice=f"cells of {cell:g}", figure=cell, unit=survey.run.unit, reason=reason,
+        otherwise="--resolution",
+    )  # fmt: skip
+    display(Decided(decision=decision))
+    return cell
+
+
+def _small_images(survey: Survey) -> list[NDArray[np.uint8]] | None:
+    """Thumbnails in the order of the cameras; None where photographs are not at hand."""
+    from radiant_core.train.photographs import load_images
+
+    images, cameras = photographs_of_survey(survey), survey.run.scene.cameras
+    if images is None or not all((images / name).is_file() for name in cameras.names):
+        return None
+    return list(load_images(images, cameras.scaled(THUMBNAIL_PX)))
+
+
+def _facets(survey: Survey, cell: float, display: ProgressDisplay) -> Facets:
+    ground, scene = survey.ground, survey.run.scene
+    with stage_bar(display, "surface") as report:
+        return facets_of_model(
+            survey.splats,
+            scene,
+            ground,
+            grid_over(ground.low, ground.high, cell, survey.map_frame),
+            MapView(
+                map_frame=survey.map_frame,
+                long_side_px=LONG_SIDE_PX,
+                keeps=lambda points: keeps_places(survey.cleaning, points, survey.regions),
+                report=lambda done, total: report(done, total, "views"),
+            ),
+        )
+
+
+def _errors(survey: Survey, sights: Sights, score: FloatArray, display: ProgressDisplay) -> tuple[FloatArray, ErrorModel | None]:
+    """Predicted error (K,) in dB of each facet, NaN where there is none, and the prediction."""
+    from radiant_core.next_flight.predicted_error import error_samples, errors_in_views, fit_errors, mean_errors_db
+    from radiant_core.train.photographs import load_images
+
+    nothing = np.full(len(sights.facets), np.nan)
+    cameras, images = survey.run.scene.cameras.scaled(LONG_SIDE_PX), photographs_of_survey(survey)
+    held = [row for row, name in enumerate(cameras.names) if name in survey.run.held_out]
+    missing = [] if images is None else [name for name in cameras.names if not (images / name).is_file()]
+    if images is None or missing or not held:
+        why = "the photographs are not at hand" if images is None or missing else "no photograph was held out"
+        display(Warned(stage=STAGE, message=f"errors are not predicted: {why}."))
+        return nothing, None
+    order = np.array([*survey.trained, *held], np.int64)
+    ordered, cell = cameras.select(order), sights.facets.surface.grid.cell
+    with stage_bar(display, "errors") as report:
+        sightings = sights.all_of(ordered)
+        found: list[FloatArray] = []
+        for index, sighting in enumerate(sightings):
+            one = ordered.select([index])
+            found += errors_in_views(survey.splats, one, load_images(images, one), [sighting], cell)
+            report(index + 1, len(ordered), "photographs")
+    split = len(survey.trained)
+    train_db = mean_errors_db(len(sights.facets), sightings[:split], found[:split])
+    try:
+        model = fit_errors(error_samples(train_db, score, sightings[split:], found[split:]))
+    except BadInput as error:
+        display(Warned(stage=STAGE, message=f"errors are not predicted: {error}"))
+        return nothing, None
+    return model.predict(train_db, score), model

@@ -1,0 +1,308 @@
+"""`radiant plan` after a run: what is known of its surface, and where to photograph next.
+
+OUT gets the map of what is known (`known_map`) and, where photographs or batteries are asked for,
+next.geojson: each view with its reason, and in flight/ a list per device, in the order of its
+flight. The exact planner deals the views to the devices of the system.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from radiant_app.commands.plan.flight import WRITERS
+from radiant_app.commands.plan.known_map import STAGE, FoundMap, find_known, write_known
+from radiant_app.commands.run.steps import stage_bar
+from radiant_app.commands.survey.parts import Survey, load_survey
+from radiant_app.events import Decided, Warned
+from radiant_app.files.run_folder import create_folder
+from radiant_app.files.system_file import even_system, load_system
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.cloud_planning import place_edges_by_raster
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.export.plan import waypoints_csv
+from radiant_core.frames import geodetic_from_enu
+from radiant_core.io.flight.route import FlownHeights, route_of
+from radiant_core.io.run_store import write_atomic, write_json
+from radiant_core.next_flight.candidates import Air, Candidates, FlightRules, air_over, candidate_views, usual_take_off
+from radiant_core.next_flight.choosing import Chosen, choose_views
+from radiant_core.next_flight.way import safe_way, shortest_order
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.devices.device_split import split_edges
+from radiant_core.plan.flight.figures import CLIMB_M_PER_S, Drone, flight_figures
+from radiant_core.plan.heights import USUAL_LIMIT_M
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.system import System
+from radiant_core.plan.waypoints import Waypoints
+from radiant_core.render.trajectories import Lens
+from radiant_core.survey.geojson import line_feature, point_feature, to_geojson
+from radiant_core.waypoints.region import load_region
+
+if TYPE_CHECKING:
+    from radiant_viewer.charts.known_chart import FlownLine
+
+NO_LISTS = "the scene has no place on the globe: the views are in next.geojson alone, without flight lists."
+SAFE_M, MOST_VIEWS = 5.0, 500
+"""Distance to every surface unless another is asked for; views that batteries are filled with."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextFlightRequest:
+    """What was asked for; neither photographs nor batteries: the map alone."""
+
+    run: Path
+    out: Path
+    photographs: int | None = None
+    batteries: int | None = None
+    """For each device."""
+    system: Path | None = None
+    """The devices that fly; None: one."""
+    resolution: float | None = None
+    safe_m: float = SAFE_M
+    lowest_m: float | None = None
+    """Least height above take-off; None: the safe distance."""
+    highest_m: float = USUAL_LIMIT_M
+    take_off: float | None = None
+    """Height of take-off on the map; None: that of low ground."""
+    no_fly: tuple[Path, ...] = ()
+    formats: tuple[str, ...] = ("kmz", "plan", "kml")
+    drone: Drone = field(default_factory=Drone)
+    crs: str | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Flight:
+    """One device's flight: views, in its order, its way (Q,3) on the map and which view each of its
+    points is, −1 where it is only passed."""
+
+    device: str
+    views: tuple[Chosen, ...]
+    way: FloatArray
+    owner: NDArray[np.int64]
+    flight_s: float
+    batteries: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Proposal:
+    found: FoundMap
+    air: Air
+    candidates: Candidates
+    flights: tuple[_Flight, ...]
+
+    @property
+    def num_views(self) -> int:
+        return sum(len(flight.views) for flight in self.flights)
+
+
+def plan_next_flight(request: NextFlightRequest, display: ProgressDisplay) -> dict[str, Any]:
+    """Write the map, and the proposal where one was asked for, into a new folder; returns the
+    figures. BadInput for what cannot be used and where no view is safe; nothing stays behind."""
+    _require_request(request)
+    system = even_system(1, 1) if request.system is None else load_system(request.system, curves=True)
+    survey = load_survey(request.run, request.crs)
+    wants_flight = request.photographs is not None or request.batteries is not None
+    if wants_flight and survey.run.scene.frame.kind == "unscaled":
+        raise BadInput("flights are in metres, and nothing gives the scale of this scene: give GPS or --distance to 'radiant sfm'.")
+    no_fly = _no_fly(request, survey, display)
+    with create_folder(request.out, whole=True):
+        found = find_known(survey, request.resolution, display)
+        figures = write_known(found, request.out)
+        proposal = _propose(request, system, found, no_fly, display) if wants_flight else None
+        _draw(request.out, found, proposal)
+        written = {"map": str(request.out / "known.tif"), "picture": str(request.out / "known.png")}
+        return {**figures, **written, **({} if proposal is None else _write_flights(request, proposal, display))}
+
+
+def _require_request(request: NextFlightRequest) -> None:
+    for option, count in (("--photographs", request.photographs), ("--batteries", request.batteries)):
+        if count is not None and count < 1:
+            raise BadInput(f"{option} is {count}, expected 1 or more.")
+    if request.photographs is not None and request.photographs > MOST_VIEWS:
+        raise BadInput(f"--photographs is {request.photographs}, expected at most {MOST_VIEWS}: fly, train again and ask again.")
+    unknown = [name for name in request.formats if name not in WRITERS]
+    if unknown:
+        raise BadInput(f"--flight-format names {unknown[0]!r}, expected some of csv (always written), {', '.join(WRITERS)} with commas.")
+
+
+def _no_fly(request: NextFlightRequest, survey: Survey, display: ProgressDisplay) -> tuple[shapely.Polygon, ...]:
+    if request.no_fly and survey.run.scene.frame.kind != "metric":
+        raise BadInput(f"{request.no_fly[0]} is in degrees, and this model has no place on earth: leave --no-fly out.")
+    land = []
+    for path in request.no_fly:
+        corners = load_region(path, survey.run.scene.frame.origin_lat_lon_alt, lambda text: display(Warned(stage=STAGE, message=text)))
+        places = survey.map_frame.from_world(np.column_stack([corners, np.full(len(corners), survey.ground.level)]))
+        land.append(shapely.Polygon(places[:, :2]))
+    return tuple(land)
+
+
+def _propose(
+    request: NextFlightRequest, system: System, found: FoundMap, no_fly: tuple[shapely.Polygon, ...], display: ProgressDisplay
+) -> _Proposal:
+    facets = found.layers.facets
+    take_off = usual_take_off(facets) if request.take_off is None else request.take_off
+    lowest = request.safe_m if request.lowest_m is None else request.lowest_m
+    rules = FlightRules(safe=request.safe_m, take_off=take_off, lowest=lowest, highest=request.highest_m, no_fly=no_fly)
+    air = air_over(facets, rules)
+    candidates = candidate_views(air, found.survey.map_frame, usual_lens(found), found.survey.ground.reach)
+    with stage_bar(display, "candidates") as report:
+        sightings = found.sights.all_of(candidates.cameras, lambda done, total: report(done, total, "views"))
+    count = MOST_VIEWS if request.photographs is None else request.photographs
+    with stage_bar(display, "choosing") as report:
+        chosen = choose_views(facets, found.layers.known, sightings, count, lambda done, total: report(done, total, "views"))
+    if not chosen:
+        raise BadInput("no safe view adds anything to what is known: nothing is to be flown.")
+    flights = _within_batteries(request, system, air, candidates, chosen, found)
+    _tell(request, candidates, flights, display)
+    return _Proposal(found=found, air=air, candidates=candidates, flights=flights)
+
+
+def usual_lens(found: FoundMap) -> Lens:
+    """The lens of most of the run's photographs."""
+    cameras = found.trained
+    sizes, counts = np.unique(cameras.sizes_wh, axis=0, return_counts=True)
+    width, height = sizes[counts.argmax()].tolist()
+    focal_px = float(np.median(cameras.Ks[(cameras.sizes_wh == [width, height]).all(axis=1), 0, 0]))
+    return Lens(size_wh=(width, height), field_of_view_deg=math.degrees(2 * math.atan(max(width, height) / 2 / focal_px)))
+
+
+def _within_batteries(
+    request: NextFlightRequest, system: System, air: Air, candidates: Candidates, chosen: Sequence[Chosen], found: FoundMap
+) -> tuple[_Flight, ...]:
+    """The flights of all chosen views, or of as many of the best as the batteries last for."""
+    flights = _flights(request, system, air, candidates, chosen, found)
+    if request.batteries is None or max(flight.batteries for flight in flights) <= request.batteries:
+        return flights
+    fits, beyond, best = 0, len(chosen), tuple[_Flight, ...]()
+    while beyond - fits > 1:
+        count = (fits + beyond) // 2
+        flights = _flights(request, system, air, candidates, chosen[:count], found)
+        if max(flight.batteries for flight in flights) <= request.batteries:
+            fits, best = count, flights
+        else:
+            beyond = count
+    if not best:
+        raise BadInput(f"{request.batteries} batteries of {request.drone.battery_s:g} s last for no single view: give more or longer ones.")
+    return best
+
+
+def _flights(
+    request: NextFlightRequest, system: System, air: Air, candidates: Candidates, chosen: Sequence[Chosen], found: FoundMap
+) -> tuple[_Flight, ...]:
+    places = candidates.places[[view.row for view in chosen]]
+    positions = np.ascontiguousarray(found.survey.map_frame.to_world(places)[:, :2])
+    frame = found.survey.run.scene.frame
+    placed = place_edges_by_raster(system, positions, frame.origin_lat_lon_alt if frame.kind == "metric" else None, None, request.seed)
+    cloud = plan_regions(positions, placed)
+    if isinstance(cloud, PlanInfeasible):
+        raise BadInput(f"plan: {cloud.reason}")
+    flights = []
+    for plan in split_edges(positions, cloud, placed):
+        for device in plan.device_ids:
+            own = plan.cameras_of(device)
+            if len(own):
+                own = own[shortest_order(places[own])]
+                flights.append(_flight(device, [chosen[row] for row in own.tolist()], places[own], air, request.drone))
+    if not flights:
+        raise BadInput("the system has no devices that fly: give one whose edges have devices, or leave --system out.")
+    return tuple(flights)
+
+
+def _flight(device: str, views: Sequence[Chosen], places: FloatArray, air: Air, drone: Drone) -> _Flight:
+    way, owner = safe_way(air, places)
+    heights = way[:, 2] - air.rules.take_off
+    climbs_s = float(np.abs(np.diff(heights)).sum()) / CLIMB_M_PER_S
+    flight_s = flight_figures(way[:, :2], heights, drone).flight_s + climbs_s
+    batteries = math.ceil(flight_s / drone.battery_s)
+    return _Flight(device=device, views=tuple(views), way=way, owner=owner, flight_s=flight_s, batteries=batteries)
+
+
+def _tell(request: NextFlightRequest, candidates: Candidates, flights: Sequence[_Flight], display: ProgressDisplay) -> None:
+    count = sum(len(flight.views) for flight in flights)
+    limit = "batteries" if request.photographs is None or count < request.photographs else "photographs"
+    decision = Decision(
+        stage=STAGE,
+        topic="next flight",
+        choice=f"{count} of {len(candidates)} safe views",
+        figure=float(sum(view.gain for flight in flights for view in flight.views)),
+        unit="expected gain",
+        reason=f"the greedy choice by gain ends at the {limit} that were asked for",
+        otherwise=f"--{limit}",
+    )
+    display(Decided(decision=decision))
+
+
+def _write_flights(request: NextFlightRequest, proposal: _Proposal, display: ProgressDisplay) -> dict[str, Any]:
+    survey, take_off = proposal.found.survey, proposal.air.rules.take_off
+    features: list[dict[str, Any]] = []
+    for flight in proposal.flights:
+        features.append(line_feature(survey.map_frame, flight.way, {"device": flight.device, "flight_s": round(flight.flight_s)}))
+        for number, view in enumerate(flight.views, 1):
+            heading, pitch = proposal.candidates.heading_pitch_deg[view.row].tolist()
+            about = {"device": flight.device, "number": number, "heading": heading, "pitch": pitch, "reason": view.reason(survey.run.unit)}
+            place = proposal.candidates.places[view.row]
+            height = {"height_above_take_off": round(float(place[2] - take_off), 2)}
+            features.append(point_feature(survey.map_frame, place, {"name": _name(flight, number), **about, **height}))
+    write_json(request.out / "next.geojson", to_geojson(survey.map_frame, features, {"take_off": round(take_off, 3)}))
+    if survey.run.scene.frame.kind == "metric":
+        _write_lists(request, proposal)
+        lists = str(request.out / "flight")
+    else:
+        display(Warned(stage=STAGE, message=NO_LISTS))
+        lists = "none"
+    rows = [
+        {"device": flight.device, "views": len(flight.views), "flight_s": round(flight.flight_s), "batteries": flight.batteries}
+        for flight in proposal.flights
+    ]
+    return {"views": proposal.num_views, "take_off": round(take_off, 2), "flight": rows, "lists": lists}
+
+
+def _name(flight: _Flight, number: int) -> str:
+    return f"{flight.device}-{number:03d}"
+
+
+def _write_lists(request: NextFlightRequest, proposal: _Proposal) -> None:
+    folder = request.out / "flight"
+    folder.mkdir()
+    for flight in proposal.flights:
+        waypoints = _waypoints(flight, proposal)
+        everything = np.arange(len(waypoints))
+        write_atomic(folder / f"{flight.device}.csv", waypoints_csv(waypoints, everything).encode())
+        route = route_of(flight.device, waypoints, everything, FlownHeights(), request.drone.speed_m_per_s)
+        for ending in request.formats:
+            write_atomic(folder / f"{flight.device}.{ending}", WRITERS[ending](route))
+
+
+def _waypoints(flight: _Flight, proposal: _Proposal) -> Waypoints:
+    """The way with heights above take-off; points that are only passed look as the view before."""
+    survey = proposal.found.survey
+    lat_lon_alt = geodetic_from_enu(survey.map_frame.to_world(flight.way), survey.run.scene.frame.origin_lat_lon_alt)
+    lat_lon_alt[:, 2] = flight.way[:, 2] - proposal.air.rules.take_off
+    last = np.maximum.accumulate(flight.owner)
+    angles = proposal.candidates.heading_pitch_deg[[flight.views[int(view)].row for view in last]]
+    names = [_name(flight, int(view) + 1) if view >= 0 else f"{flight.device}-pass-{index:03d}" for index, view in enumerate(flight.owner)]
+    return Waypoints(names=tuple(names), lat_lon_alt=lat_lon_alt, heading_pitch_deg=angles, counts_from="takeoff")
+
+
+def _draw(folder: Path, found: FoundMap, proposal: _Proposal | None) -> None:
+    from radiant_viewer.charts.known_chart import known_picture
+    from radiant_viewer.pictures.images import save_png
+
+    lines = () if proposal is None else tuple(_line(flight, proposal.candidates) for flight in proposal.flights)
+    save_png(folder / "known.png", known_picture(found.layers, found.survey.run.unit, lines))
+
+
+def _line(flight: _Flight, candidates: Candidates) -> FlownLine:
+    from radiant_viewer.charts.known_chart import FlownLine
+
+    rows = [view.row for view in flight.views]
+    return FlownLine(name=flight.device, way=flight.way, places=candidates.places[rows], aims=candidates.aims[rows])

@@ -1,0 +1,1 @@
+"""What is measured on a run, and what changed between two of them."""

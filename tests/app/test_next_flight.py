@@ -1,0 +1,120 @@
+"""The next flight of a made-up run: its map, its reasons, and lists that other programs read."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import tifffile
+from rich.console import Console
+
+from radiant_app.commands.plan.next_flight import NextFlightRequest, plan_next_flight
+from radiant_app.events import Event, Warned
+from radiant_app.report.progress import ProgressDisplay
+from radiant_core.errors import BadInput
+from radiant_core.next_flight.layers import BANDS
+from radiant_core.waypoints.reader import read_waypoints
+from tests.viewer.made_up_run import made_up_town, save_run
+
+SAFE_M = 6.0
+
+
+class Hearing(ProgressDisplay):
+    """A display that shows nothing and remembers what it was told."""
+
+    def __init__(self) -> None:
+        super().__init__(Console(quiet=True))
+        self.heard: list[Event] = []
+
+    def __call__(self, event: Event) -> None:
+        self.heard.append(event)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("next") / "run"
+    save_run(folder, made_up_town())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def flown(run: Path) -> tuple[Path, dict[str, Any], list[Event]]:
+    display = Hearing()
+    out = run.parent / "next"
+    request = NextFlightRequest(run=run, out=out, photographs=6, resolution=3.0, safe_m=SAFE_M, highest_m=80.0)
+    return out, plan_next_flight(request, display), display.heard
+
+
+def test_the_map_has_its_bands_and_place(flown: tuple[Path, dict[str, Any], list[Event]]) -> None:
+    out, figures, heard = flown
+    with tifffile.TiffFile(out / "known.tif") as file:
+        bands = file.asarray()
+        tags = file.geotiff_metadata or {}
+    assert bands.shape[2] == len(BANDS)
+    assert int(tags["ProjectedCSTypeGeoKey"]) == int(figures["crs"].split(":")[1].split()[0])
+    views = bands[..., 0][bands[..., 0] != -9999]
+    assert views.max() >= 2
+    # No photograph is at hand: no error is predicted, and that is said.
+    assert (bands[..., 4] == -9999).all()
+    assert "predicted_error" in figures
+    assert any(isinstance(event, Warned) and "not predicted" in event.message for event in heard)
+    shapes = json.loads((out / "known.geojson").read_text())
+    assert shapes["type"] == "FeatureCollection"
+    assert (out / "known.png").stat().st_size > 10_000
+
+
+def test_each_view_has_a_reason_and_keeps_its_distance(flown: tuple[Path, dict[str, Any], list[Event]]) -> None:
+    out, figures, _ = flown
+    record = json.loads((out / "next.geojson").read_text())
+    points = [feature for feature in record["features"] if feature["geometry"]["type"] == "Point"]
+    assert len(points) == figures["views"] == 6
+    for point in points:
+        assert point["properties"]["reason"].startswith("gain ")
+        height = point["properties"]["height_above_take_off"]
+        # The ground of the town is level to a metre.
+        assert SAFE_M <= height <= 80.0
+        assert -90 <= point["properties"]["pitch"] < 0
+
+
+def test_lists_are_read_back_alike(flown: tuple[Path, dict[str, Any], list[Event]]) -> None:
+    out, _, _ = flown
+    record = json.loads((out / "next.geojson").read_text())
+    points = [feature for feature in record["features"] if feature["geometry"]["type"] == "Point"]
+    lon_lat = np.array([point["geometry"]["coordinates"][:2] for point in points])
+    (csv,) = (out / "flight").glob("*.csv")
+    waypoints = read_waypoints(csv).waypoints
+    rows = [row for row, name in enumerate(waypoints.names) if "-pass-" not in name]
+    assert waypoints.lat_lon_alt[rows][:, 1::-1] == pytest.approx(lon_lat, abs=1e-8)
+    assert waypoints.height_kinds == ("takeoff",)
+    items = json.loads(csv.with_suffix(".plan").read_text())["mission"]["items"]
+    places = [item["params"][4:6] for item in items if item["command"] == 16]
+    assert np.array(places) == pytest.approx(waypoints.lat_lon_alt[:, :2], abs=1e-8)
+    with zipfile.ZipFile(csv.with_suffix(".kmz")) as archive:
+        root = ElementTree.fromstring(archive.read("wpmz/waylines.wpml"))
+    texts = [element.text for element in root.iter() if element.tag.endswith("coordinates")]
+    assert len(texts) == len(waypoints)
+    root = ElementTree.fromstring(csv.with_suffix(".kml").read_text())
+    assert sum(element.tag.endswith("Placemark") for element in root.iter()) == len(waypoints)
+
+
+def test_the_map_alone_has_no_flight_and_bad_requests_leave_nothing(run: Path) -> None:
+    out = run.parent / "map"
+    figures = plan_next_flight(NextFlightRequest(run=run, out=out, resolution=4.0), Hearing())
+    assert "views" not in figures
+    assert sorted(path.name for path in out.iterdir()) == ["known.geojson", "known.png", "known.tif"]
+    nothing = run.parent / "nothing"
+    for request, said in (
+        (NextFlightRequest(run=run, out=nothing, photographs=0), "expected 1 or more"),
+        (NextFlightRequest(run=run, out=nothing, photographs=501), "at most 500"),
+        (NextFlightRequest(run=run, out=nothing, formats=("gpx",)), "gpx"),
+        (NextFlightRequest(run=run, out=nothing, resolution=float("nan")), "resolution"),
+        (NextFlightRequest(run=run, out=nothing, resolution=4.0, photographs=2, highest_m=6.0), "raise the upper limit|none of"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            plan_next_flight(request, Hearing())
+        assert not nothing.exists()

@@ -1,0 +1,120 @@
+"""Greedy choice against its plain twin, safe places and safe ways."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import shapely
+
+from radiant_core.errors import BadInput
+from radiant_core.next_flight.candidates import FlightRules, air_over, candidate_views, usual_take_off
+from radiant_core.next_flight.choosing import choose_views, gain_of
+from radiant_core.next_flight.sightings import Known, known_by
+from radiant_core.next_flight.way import safe_way, shortest_order
+from tests.core.next_flight.block import FRAME, LENS, block_facets, block_sights, looks
+
+RULES = FlightRules(safe=3.0, take_off=0.0, lowest=2.0, highest=60.0)
+
+
+def test_lazy_greedy_is_greedy() -> None:
+    sights = block_sights()
+    flown = looks((0.0, 0.0, 40.0))
+    known = known_by(sights, flown, sights.all_of(flown))
+    candidates = candidate_views(air_over(sights.facets, RULES), FRAME, LENS, 30.0)
+    sightings = sights.all_of(candidates.cameras)
+    chosen = choose_views(sights.facets, known, sightings, 6)
+    information, rows, left = known.information.copy(), list[int](), set(range(len(sightings)))
+    for _ in range(6):
+        best = max(left, key=lambda row: (float(gain_of(information, sights.facets.areas, sightings[row]).sum()), -row))
+        information[sightings[best].rows] += sightings[best].information()
+        rows.append(best)
+        left.discard(best)
+    assert [view.row for view in chosen] == rows
+    # Each gains less than the one before, and shares are of one gain.
+    gains = [view.gain for view in chosen]
+    assert gains == sorted(gains, reverse=True)
+    assert all(view.from_unseen + view.from_weak + view.from_finer == pytest.approx(1.0) for view in chosen)
+
+
+def test_four_views_after_a_nadir_one_open_all_four_walls() -> None:
+    sights = block_sights()
+    flown = looks((0.0, 0.0, 40.0))
+    known = known_by(sights, flown, sights.all_of(flown))
+    candidates = candidate_views(air_over(sights.facets, RULES), FRAME, LENS, 30.0)
+    sightings = sights.all_of(candidates.cameras)
+    chosen = choose_views(sights.facets, known, sightings, 4)
+    opened = np.zeros(len(sights.facets), bool)
+    for view in chosen:
+        opened[sightings[view.row].rows] = True
+    walls = sights.facets.is_wall
+    assert opened[walls].mean() > 0.95
+    assert chosen[0].from_unseen > 0
+    assert "no photograph shows" in chosen[0].reason("m")
+
+
+def test_no_view_is_nearer_than_asked() -> None:
+    facets = block_facets(0.5)
+    air = air_over(facets, RULES)
+    candidates = candidate_views(air, FRAME, LENS, 15.0)
+    away = np.linalg.norm(candidates.places[:, None] - facets.places[None], axis=2)
+    assert away.min() >= RULES.safe
+    assert candidates.places[:, 2].min() >= RULES.lowest
+    # Half a cell lower than allowed is refused, the bound itself is not.
+    above = np.array([[0.25, 0.25, 8.0 + RULES.safe + 0.01], [0.25, 0.25, 8.0 + RULES.safe - 0.01]])
+    assert air.is_safe(above).tolist() == [True, False]
+
+
+def test_a_way_keeps_its_distance_and_goes_around_forbidden_land() -> None:
+    facets = block_facets(0.5)
+    land = shapely.box(-30.0, 8.0, 5.0, 12.0)
+    air = air_over(facets, FlightRules(safe=3.0, take_off=0.0, lowest=2.0, highest=60.0, no_fly=(land,)))
+    places = np.array([[-15.0, 0.0, 6.0], [15.0, 0.0, 6.0], [-10.0, 16.0, 20.0]])
+    assert air.is_safe(places).all()
+    way, owner = safe_way(air, places)
+    assert owner[owner >= 0].tolist() == [0, 1, 2]
+    assert np.array_equal(way[owner >= 0], places)
+    # Over the block, which is between the first two, and around the land before the third.
+    assert way[:, 2].max() >= 8.0 + 3.0
+    for start, end in pairwise(way):
+        points = start + np.linspace(0, 1, 200)[:, None] * (end - start)
+        away = np.linalg.norm(points[:, None] - facets.places[None], axis=2)
+        assert away.min() >= 3.0
+        assert not shapely.intersects(land, shapely.LineString([start[:2], end[:2]]))
+
+
+def test_a_leg_beyond_the_highest_is_refused() -> None:
+    air = air_over(block_facets(0.5), FlightRules(safe=3.0, take_off=0.0, lowest=2.0, highest=10.0))
+    with pytest.raises(BadInput, match="above take-off"):
+        safe_way(air, np.array([[-15.0, 0.0, 6.0], [15.0, 0.0, 6.0]]))
+
+
+def test_rules_that_no_flight_can_keep_are_refused() -> None:
+    with pytest.raises(BadInput, match="safe distance"):
+        FlightRules(safe=0.0, take_off=0.0)
+    with pytest.raises(BadInput, match="raise the upper limit"):
+        FlightRules(safe=1.0, take_off=0.0, lowest=50.0, highest=40.0)
+    facets = block_facets()
+    everywhere = FlightRules(safe=3.0, take_off=0.0, no_fly=(shapely.box(-100, -100, 100, 100),))
+    with pytest.raises(BadInput, match="none of"):
+        candidate_views(air_over(facets, everywhere), FRAME, LENS, 30.0)
+    assert usual_take_off(facets) == 0.0
+
+
+def test_a_round_trip_is_no_longer_than_a_grid_needs() -> None:
+    places = np.array([[x, y, 0.0] for x in range(5) for y in range(4)], np.float64)
+    order = shortest_order(np.random.default_rng(1).permutation(places))
+    assert sorted(order.tolist()) == list(range(20))
+    shuffled = np.random.default_rng(1).permutation(places)[order]
+    closed = np.linalg.norm(shuffled - np.roll(shuffled, -1, axis=0), axis=1).sum()
+    # 20 is the least; 2-opt ends within a tenth of it here.
+    assert closed <= 22.0
+
+
+def test_nothing_known_is_all_unseen() -> None:
+    sights = block_sights()
+    known = known_by(sights, looks((0.0, 0.0, 40.0)).select([]), ())
+    assert isinstance(known, Known)
+    assert known.unseen.all()
+    assert not known.weak.any()

@@ -1,0 +1,71 @@
+"""The prediction of errors: rising in both, calibrated on photographs that took no part."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.next_flight.predicted_error import ErrorSamples, errors_in_views, fit_errors, mean_errors_db
+from radiant_core.next_flight.sightings import Sighting
+from radiant_core.render.rendered_view import render_views
+from tests.core.scenes import cameras_above, ground_splats
+
+
+def made_up(count: int = 3000, *, noise_db: float = 1.0, num_photographs: int = 6) -> ErrorSamples:
+    rng = np.random.default_rng(0)
+    train_db, score = rng.uniform(18, 30, count), rng.uniform(0, 10, count)
+    held_db = 0.8 * train_db + 2.0 * np.sqrt(score) + rng.normal(0, noise_db, count)
+    photograph = rng.integers(0, num_photographs, count)
+    return ErrorSamples(rows=np.arange(count), photograph=photograph, held_db=held_db, train_db=train_db, score=score)
+
+
+def test_a_law_that_rises_in_both_is_recovered() -> None:
+    samples = made_up()
+    model = fit_errors(samples)
+    truth = 0.8 * samples.train_db + 2.0 * np.sqrt(samples.score)
+    # Noise of 1 dB over 3,000 samples in steps of some fifty: a few tenths of a dB.
+    assert np.abs(model.predict(samples.train_db, samples.score) - truth).mean() < 0.3
+    assert (np.diff(model.by_training.values) >= 0).all()
+    assert (np.diff(model.by_score.values) >= 0).all()
+    assert model.rank is not None and model.rank > 0.9
+    assert model.num_cells == 3000
+    assert model.num_photographs == 6
+
+
+def test_of_cells_called_good_as_many_are() -> None:
+    model = fit_errors(made_up())
+    # Nine of ten; four σ of a share of 3,000 samples.
+    assert model.good == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / 3000))
+    # The 10 % quantile of noise of 1 dB.
+    assert model.margin_db == pytest.approx(1.28, abs=0.15)
+
+
+def test_one_photograph_gives_no_margin_and_too_few_cells_no_prediction() -> None:
+    one = fit_errors(made_up(num_photographs=1))
+    assert one.margin_db is None and one.rank is None
+    with pytest.raises(BadInput, match="hold more photographs out"):
+        fit_errors(made_up(50))
+
+
+def test_what_nothing_shows_has_no_prediction() -> None:
+    model = fit_errors(made_up())
+    assert np.isnan(model.predict(np.array([np.nan]), np.array([1.0]))).all()
+
+
+def test_errors_are_those_about_the_pixel() -> None:
+    splats = ground_splats()
+    cameras = cameras_above([(0.0, 0.0)])
+    view = next(iter(render_views(splats, cameras)))
+    image = view.image_bytes.copy()
+    image[10, 20] = (image[10, 20].astype(int) + 100) % 256
+    pixels = np.array([[20.5, 10.5], [5.5, 5.5]], np.float32)
+    ones = np.ones(2, np.float32)
+    sighting = Sighting(rows=np.array([3, 7]), pixels=pixels, gsd=ones, toward=np.zeros((2, 3), np.float32), facing=ones)
+    (errors,) = errors_in_views(splats, cameras, [image], [sighting], 1.0)
+    assert errors[0] == pytest.approx(np.square(view.image[10, 20] - image[10, 20] / 255).mean(), rel=1e-5)
+    # Half a level of rounding at most.
+    assert errors[1] <= (0.5 / 255) ** 2 * 1.01
+    means = mean_errors_db(9, [sighting], [errors])
+    assert np.isnan(means[[0, 1, 2, 4]]).all()
+    assert means[3] == pytest.approx(-10 * np.log10(errors[0]))

@@ -1,0 +1,86 @@
+"""What is known of a surface beside the next flight over it. Once per map, with matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.patches import Patch
+
+from radiant_core.export.geotiff import NO_DATA
+from radiant_core.next_flight.layers import KnownMap
+from radiant_core.numerics import FloatArray
+from radiant_viewer.layers.palette import GREY, VERMILLION, YELLOW, unit_rgb
+from radiant_viewer.pictures.images import Image
+from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, style_axes, titled_figure
+
+PANEL_PX, TOP_PX, LEFT_PX, FOOT_PX, BAR_PX = 570, 78, 90, 110, 70
+KIND_COLORS = tuple(unit_rgb(color) for color in ((165, 205, 232), YELLOW, VERMILLION))
+MOST_VIEWS = 12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FlownLine:
+    """One device's way (Q,3) on the map, its photographs' places (P,3) and where they look."""
+
+    name: str
+    way: FloatArray
+    places: FloatArray
+    aims: FloatArray
+
+
+def known_picture(found: KnownMap, unit: str, flights: Sequence[FlownLine] = ()) -> Image:
+    """Return three panels (H,W,3): photographs per cell, predicted error, and what is weak under
+    the proposed flights."""
+    grid, bands = found.facets.surface.grid, found.bands(NO_DATA).astype(np.float64)
+    bands[bands == NO_DATA] = np.nan
+    height_px = int(np.clip((PANEL_PX - LEFT_PX - BAR_PX) * grid.rows / grid.columns, 180, 900))
+    figure = titled_figure((3 * PANEL_PX, height_px + TOP_PX + FOOT_PX), "What is known of the surface")
+    panels = [axes_at(figure, (LEFT_PX + index * PANEL_PX, FOOT_PX, PANEL_PX - LEFT_PX - BAR_PX, height_px)) for index in range(3)]
+    corner = grid.north_west
+    extent = (corner[0], corner[0] + grid.columns * grid.cell, corner[1] - grid.rows * grid.cell, corner[1])
+    bars = (("Photographs", bands[..., 0], "viridis", (0, MOST_VIEWS)), ("Predicted PSNR (dB)", bands[..., 4], "magma", None))
+    for axes, (label, values, colors, limits) in zip(panels, bars, strict=False):
+        low, high = limits or (tuple(np.nanquantile(values, [0.02, 0.98])) if np.isfinite(values).any() else (0.0, 1.0))
+        picture = axes.imshow(values, extent=extent, cmap=colors, vmin=low, vmax=high, interpolation="none", aspect="equal")
+        axes.set_title(label, fontsize=10, color=INK_COLOR, loc="left")
+        bar = figure.colorbar(picture, ax=axes, fraction=0.046, pad=0.02)
+        bar.ax.tick_params(labelsize=8)
+    _draw_weak(panels[2], bands, extent)
+    for line in flights:
+        _draw_flight(panels[2], line)
+    for axes in panels:
+        style_axes(axes, f"East ({unit})", f"North ({unit})")
+        axes.set(xlim=_span(extent[:2], flights, 0), ylim=_span(extent[2:], flights, 1))
+        axes.ticklabel_format(useOffset=False, style="plain")
+    return figure_image(figure)
+
+
+def _span(ends: tuple[float, float], flights: Sequence[FlownLine], axis: int) -> tuple[float, float]:
+    values = np.concatenate([np.array(ends), *(line.way[:, axis] for line in flights)])
+    margin = 0.02 * float(np.ptp(values))
+    return float(values.min()) - margin, float(values.max()) + margin
+
+
+def _draw_weak(axes: Axes, bands: FloatArray, extent: tuple[float, float, float, float]) -> None:
+    colors = ListedColormap(KIND_COLORS)
+    axes.imshow(bands[..., 6], extent=extent, cmap=colors, norm=BoundaryNorm([0.5, 1.5, 2.5, 3.5], 3), interpolation="none", aspect="equal")
+    walls = np.where(bands[..., 8] > 0, 1.0, np.nan)
+    axes.imshow(walls, extent=extent, cmap=ListedColormap(["#000000"]), interpolation="none", aspect="equal")
+    names = ("known", "fewer than 2 views or 2° parallax", "no photograph")
+    handles = [Patch(color=color, label=name) for color, name in zip(KIND_COLORS, names, strict=True)]
+    handles.append(Patch(color="#000000", label="wall that no photograph shows"))
+    axes.legend(handles=handles, fontsize=7, loc="upper left", bbox_to_anchor=(0, -0.16), ncols=2, frameon=False)
+    axes.set_title("What is weak, and the next flight", fontsize=10, color=INK_COLOR, loc="left")
+
+
+def _draw_flight(axes: Axes, line: FlownLine) -> None:
+    axes.plot(line.way[:, 0], line.way[:, 1], color=unit_rgb(GREY), linewidth=1.0)
+    ahead = line.aims[:, :2] - line.places[:, :2]
+    axes.plot(line.places[:, 0], line.places[:, 1], color=INK_COLOR, marker="o", markersize=3.5, linestyle="none")
+    axes.quiver(*line.places[:, :2].T, *ahead.T, angles="xy", scale_units="xy", scale=3, width=0.004, color=INK_COLOR)
+    for number, place in enumerate(line.places, 1):
+        axes.annotate(str(number), place[:2], xytext=(3, 3), textcoords="offset points", fontsize=7, color=INK_COLOR)
