@@ -172,8 +172,9 @@ def steps_of_begun_run(nothing):
     window.set_layer_visible("Borders", False)
     window.docks.fly.add_view()
     window.view.plotter.camera.azimuth += 25
-    window.raise_dock(window.docks.fly)
     window.docks.survey.click.setChecked(True)
+    assert not window.docks.survey.visibleRegion().isEmpty(), "what is measured is not in sight"
+    window.raise_dock(window.docks.fly)
     pose, keyframes = window.view.pose, window.docks.fly.keyframes
     (given.out / "scene.ply").rename(given.run_folder / "scene.ply")
     QTest.qWait(1500)
