@@ -23,7 +23,7 @@ from radiant_core.geometry import fusion
 from radiant_core.geometry.fusion import _save_view
 from radiant_core.geometry.open3d_ops import DepthView
 from radiant_core.io.ply import load_ply
-from radiant_core.io.records import load_plan, save_cameras, save_scene
+from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.render.trajectories import Lens, cameras_looking_at
 from radiant_core.splats import concatenate_splats
 from radiant_viewer.runs.run_view import load_run_view
@@ -351,8 +351,7 @@ def test_tiles_and_pages_are_written_and_photographs_only_where_asked_for(run: P
     assert said["gaussians"] == 9000 and len(tileset["root"]["transform"]) == 16, "the town has GPS"
     page = json.loads(radiant("export", run, tmp_path / "page", "--format", "viewer", "--json"))
     assert page["photographs"] == 0 and (tmp_path / "page" / "index.html").is_file()
-    num_regions = len(load_plan(run / "plan.json")[0].edge_ids)
-    assert page["places"] == 2 + num_regions + 5, "the whole from two sides, regions, worst seams and photographs"
+    assert page["places"] == 2 + 3 + 3 + 3, "the whole from two sides, regions, borders, the weakest views"
     one = json.loads(radiant("export", run / "scene.ply", tmp_path / "one.html", "--json"))
     assert one["format"] == "viewer" and one["bytes"] == (tmp_path / "one.html").stat().st_size
     with pytest.raises(BadInput, match="--photographs is of a page"):
