@@ -20,6 +20,7 @@ from radiant_viewer.window import desktop
 
 ROOT = Path(__file__).parents[2]
 NATIVE_SOURCE = "core/radiant_core/native/room/one.cpp"
+ROOMS = ("core/radiant_core", "viewer/radiant_viewer", "radiant_app", "radiant")
 EVERYDAY = "-m pip install --editable .[desktop,flip,geo,sfm,survey,web]"
 
 
@@ -33,7 +34,8 @@ def program(path: Path, text: str) -> None:
 def checkout(tmp_path: Path) -> Path:
     """A copy of the script beside a made-up environment, on a machine that has all system packages."""
     shutil.copy(ROOT / "setup.sh", tmp_path)
-    for name in ("pyproject.toml", "CMakeLists.txt", NATIVE_SOURCE):
+    rooms = [f"{room}/__init__.py" for room in ROOMS]
+    for name in ("pyproject.toml", "CMakeLists.txt", NATIVE_SOURCE, "benchmarks/native/field/one.cpp", *rooms):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(name)
     program(tmp_path / "bin/dpkg-query", "echo installed")
@@ -71,6 +73,10 @@ def test_the_demo_brings_what_inspect_needs_and_is_not_set_up_twice(checkout: Pa
     for source in ("pyproject.toml", NATIVE_SOURCE):
         (checkout / source).write_text("changed")
         assert setup(checkout) == [f"python {EVERYDAY}"]
+    # The installation knows a module by its file: one that became a folder is installed again.
+    (checkout / "radiant_app/commands").mkdir()
+    (checkout / "radiant_app/commands/__init__.py").touch()
+    assert setup(checkout) == [f"python {EVERYDAY}"]
     (checkout / ".venv/installed-desktop,flip,geo,sfm,survey,web").rename(checkout / ".venv/installed-base")
     assert setup(checkout, "demo") == [f"python {EVERYDAY}", "radiant demo"]
 
