@@ -23,6 +23,8 @@ ALLOWED = {
     "radiant_app/executors/sessions.py": {"killpg"},
     # By a descriptor of the process that it has started itself.
     "radiant_app/executors/emulated_node.py": {"pidfd_send_signal"},
+    # By a descriptor of the process that holds the run's lock.
+    "radiant_app/commands/run/control.py": {"pidfd_send_signal"},
 }
 
 

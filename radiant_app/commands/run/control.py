@@ -66,12 +66,27 @@ def stop_run(run: Path) -> None:
     """End a run that is at work on this machine as Ctrl-C does; BadInput where none is."""
     if not is_locked(run):
         raise BadInput(f"{run} is not at work: there is nothing to stop.")
-    # The holder of the lock wrote its number, and the kernel frees the lock with it.
-    text = (run / LOCK_NAME).read_text(encoding="ascii", errors="replace").strip()
+    # The holder of the lock wrote its number. A descriptor stays with that process: should it end and
+    # another take its number, the lock is free and nothing is signalled.
+    elsewhere = "stop it where it was begun"
+    if not hasattr(os, "pidfd_open"):
+        raise BadInput(f"the run in {run} cannot be stopped from here, which needs Linux: {elsewhere}.")
     try:
-        os.kill(int(text), signal.SIGINT)
+        descriptor = os.pidfd_open(_number_in(run))
     except (ValueError, OSError) as error:
-        raise BadInput(f"the run in {run} cannot be stopped from here ({error}): stop it where it was begun.") from error
+        raise BadInput(f"the run in {run} cannot be stopped from here ({error}): {elsewhere}.") from error
+    try:
+        if not is_locked(run):
+            raise BadInput(f"{run} is not at work any more: there is nothing to stop.")
+        signal.pidfd_send_signal(descriptor, signal.SIGINT)
+    except OSError as error:
+        raise BadInput(f"the run in {run} cannot be stopped from here ({error}): {elsewhere}.") from error
+    finally:
+        os.close(descriptor)
+
+
+def _number_in(run: Path) -> int:
+    return int((run / LOCK_NAME).read_text(encoding="ascii", errors="replace").strip())
 
 
 def resuming_arguments(run: Path) -> tuple[str, ...]:

@@ -157,9 +157,9 @@ def _text(write: writers.Writer, folder: Path, old: str, new: str) -> Path:
 
 
 REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
-    "a panorama": (
+    "a part of a panorama": (
         lambda folder: _ns(folder, lambda top: {**top, "camera_model": "EQUIRECTANGULAR"}),
-        "EQUIRECTANGULAR",
+        "expected one twice as wide as high",
     ),
     "no frames": (lambda folder: _ns(folder, _without("frames")), "has no 'frames'"),
     "a mirrored pose": (
@@ -208,7 +208,11 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda folder: _text(writers.realityscan, folder, "c.jpg", "d.jpg"),
         "needs the size of the photograph 'd.jpg'",
     ),
-    "spherical": (lambda folder: _text(writers.metashape, folder, 'type="frame"', 'type="spherical"'), "type 'spherical'"),
+    "a part of Metashape's": (
+        lambda folder: _text(writers.metashape, folder, 'type="frame"', 'type="spherical"'),
+        "expected one twice as wide as high",
+    ),
+    "a lens of Metashape": (lambda folder: _text(writers.metashape, folder, 'type="frame"', 'type="rpc"'), "type 'rpc'"),
     "a document type": (
         lambda folder: _text(writers.metashape, folder, "<document", "<!DOCTYPE x><document"),
         "declares a document type",

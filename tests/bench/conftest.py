@@ -1,0 +1,5 @@
+"""The runs and scenes that benchmarks are tried on: those of the application's tests."""
+
+from tests.app.conftest import blank_pictures, finished, hamlet, hamlet_scene, paper_models, short_rounds
+
+__all__ = ["blank_pictures", "finished", "hamlet", "hamlet_scene", "paper_models", "short_rounds"]
