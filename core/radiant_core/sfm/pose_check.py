@@ -198,12 +198,19 @@ def _projected(project: PoseFile, view: PosedView, points: FloatArray) -> tuple[
 
 
 def _require_inside(project: PoseFile) -> None:
-    """Raise BadInput where most points fall into fewer than two photographs."""
-    rows = _some(len(project.points), MAX_POINTS)
+    """Raise BadInput where most points fall into fewer than two photographs; of those that name
+    who sees them, which may be a few of many photographs, only points that some of these see."""
+    rows = np.arange(len(project.points))
+    least = np.full(len(rows), min(2, len(project.views)))
+    if project.num_seen:
+        seen = np.bincount(np.concatenate([np.unique(view.point_rows) for view in project.views]), minlength=len(rows))
+        rows, least = np.flatnonzero(seen), np.minimum(least, seen)[seen > 0]
+    some = _some(len(rows), MAX_POINTS)
+    rows, least = rows[some], least[some]
     if not len(rows):
         return
     counts = sum((np.isfinite(_projected(project, view, project.points[rows])[0][:, 0]).astype(int) for view in project.views), np.zeros(1))
-    inside = float((counts >= min(2, len(project.views))).mean())
+    inside = float((counts >= least).mean())
     if inside < MIN_INSIDE:
         raise BadInput(
             f"{project.title} does not fit itself: {inside:.0%} of its points fall into two or more photographs in front of the camera, "
