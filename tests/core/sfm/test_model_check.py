@@ -130,3 +130,10 @@ def test_a_lens_without_equations_here_says_that_it_is_not_checked(bent: tuple[P
     odd = replace(camera, model="EUCM", params=(*camera.params[:4], 0.5, 1.0))
     decision = check_model_poses(replace(model, cameras={camera.camera_id: odd}), Path("sparse"), photos)
     assert decision.reason == "the poses are not checked: no equations of EUCM here"
+
+
+def test_a_model_of_some_photographs_is_held_against_what_these_see() -> None:
+    whole = hamlet_model()
+    part = replace(whole, images=whole.images[:3])
+    seen = check_model_poses(part, Path("sparse"), IMAGES)
+    assert seen.unit == "px" and seen.figure is not None and seen.figure < 0.01
