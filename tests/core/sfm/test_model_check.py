@@ -134,6 +134,6 @@ def test_a_lens_without_equations_here_says_that_it_is_not_checked(bent: tuple[P
 
 def test_a_model_of_some_photographs_is_held_against_what_these_see() -> None:
     whole = hamlet_model()
-    part = replace(whole, images=whole.images[:3])
+    part = replace(whole, images=[whole.images[0], whole.images[3]])
     seen = check_model_poses(part, Path("sparse"), IMAGES)
     assert seen.unit == "px" and seen.figure is not None and seen.figure < 0.01
