@@ -66,8 +66,8 @@ def stop_run(run: Path) -> None:
     """End a run that is at work on this machine as Ctrl-C does; BadInput where none is."""
     if not is_locked(run):
         raise BadInput(f"{run} is not at work: there is nothing to stop.")
-    # The holder of the lock wrote its number. A descriptor stays with that process: should it end and
-    # another take its number, the lock is free and nothing is signalled.
+    # The holder of the lock wrote its number. A descriptor stays with that process: should it end
+    # and another take its number, the lock is free and nothing is signalled.
     elsewhere = "stop it where it was begun"
     if not hasattr(os, "pidfd_open"):
         raise BadInput(f"the run in {run} cannot be stopped from here, which needs Linux: {elsewhere}.")
