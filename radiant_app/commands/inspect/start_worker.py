@@ -16,16 +16,15 @@ torch nor for a thousand photographs. Ends with its standard input.
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any, get_args
 
 from pydantic import TypeAdapter, ValidationError
 
+from radiant_app.answering import answering
 from radiant_app.commands.inspect.start_forecast import (
     MachineRow,
     QualityName,
@@ -37,7 +36,6 @@ from radiant_app.commands.inspect.start_forecast import (
 )
 from radiant_app.commands.inspect.start_look import Found, look_at
 from radiant_app.files.profile_file import library_profiles, load_profile
-from radiant_app.interrupts import interrupt_on_signals, stop_repeating_interrupt
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.strict import problem_sentence
 
@@ -108,13 +106,8 @@ def serve(requests: IO[bytes], answers: IO[bytes]) -> None:
 
 def main() -> int:
     """Run the process and return its exit code."""
-    # What libraries print becomes standard error; answers keep the pipe.
-    pipe = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    interrupt_on_signals()
-    with suppress(BrokenPipeError, KeyboardInterrupt):
+    with answering() as pipe:
         serve(sys.stdin.buffer, pipe)
-    stop_repeating_interrupt()
     return 0
 
 

@@ -15,17 +15,15 @@ with its standard input or by SIGTERM, and then leaves no half-written file behi
 from __future__ import annotations
 
 import json
-import os
 import sys
-from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, get_args
 
 import numpy as np
 
+from radiant_app.answering import answering
 from radiant_app.commands.survey import measure as measures
 from radiant_app.commands.survey.parts import Survey, load_survey
-from radiant_app.interrupts import interrupt_on_signals, stop_repeating_interrupt
 from radiant_app.report.progress import ProgressDisplay, terminal_display
 from radiant_core.choices import MeasureKind
 from radiant_core.errors import BadInput, RadiantError
@@ -96,13 +94,8 @@ def serve(run: Path, requests: IO[bytes], answers: IO[bytes]) -> None:
 
 def main() -> int:
     """Run the process and return its exit code."""
-    # What libraries print becomes standard error; answers keep the pipe.
-    pipe = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    interrupt_on_signals()
-    with suppress(BrokenPipeError, KeyboardInterrupt):
+    with answering() as pipe:
         serve(Path(sys.argv[1]), sys.stdin.buffer, pipe)
-    stop_repeating_interrupt()
     return 0
 
 
