@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -88,7 +89,7 @@ class FuzzReport:
     """Format, number and error of those that were neither read nor refused."""
     longest_s: float
     longest_number: int
-    """CPU seconds of one reading, and which it was."""
+    """CPU seconds of one reading, the quicker of two, and which it was."""
     grown_bytes: int
     """Peak resident memory within some `PER_LOOK` of them over that before, without the decoded
     pixels of the largest picture. Not over all: every listing of a folder starts threads, which
@@ -158,6 +159,8 @@ def fuzz(name: str, count: int, seed: int, folder: Path, first: int = 0) -> Fuzz
             num_surprises, surprises = num_surprises + 1, [*surprises, f"{name} {number}: {type(error).__name__}: {error}"[:300]][:SHOWN]
         seconds = time.process_time() - begun
         if seconds > longest_s:
+            seconds = min(seconds, _seconds_to_read(target, folder, chosen))
+        if seconds > longest_s:
             longest_s, longest_number = seconds, number
         # The other files of a format of several are whole again.
         path.write_bytes(target.seeds[chosen])
@@ -172,6 +175,14 @@ def fuzz(name: str, count: int, seed: int, folder: Path, first: int = 0) -> Fuzz
         grown_bytes=max(grown_bytes, peak_bytes() - before - pixel_bytes),
         seconds=time.monotonic() - begun_s,
     )
+
+
+def _seconds_to_read(target: Target, folder: Path, chosen: int) -> float:
+    """CPU seconds of a second reading: what a busy machine or a first call adds is not the file's."""
+    begun = time.process_time()
+    with suppress(Exception):
+        target.read(folder, chosen)
+    return time.process_time() - begun
 
 
 def _fresh_peak_bytes() -> int:
