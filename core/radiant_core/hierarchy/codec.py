@@ -130,7 +130,7 @@ def _parse(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
     try:
         parsed = _model(kind).model_validate_json(data)
     except ValidationError as error:
-        raise BadInput(f"{name}: {problem_sentence(error, 'message', given=json.loads(data))}") from error
+        raise BadInput(f"{name}: {problem_sentence(error, 'message', data=json.loads(data))}") from error
     key = _find_left_out(parsed.model_dump(mode="json"), json.loads(data))
     if key is not None:
         raise BadInput(f"{name}: {key} is missing: add it.")

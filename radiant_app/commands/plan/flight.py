@@ -122,7 +122,7 @@ def write_routes(folder: Path, edges: Sequence[EdgePlan], waypoints: Waypoints, 
             route = route_of(device_id, waypoints, plan.cameras_of(device_id), request.flown, request.drone.speed_m_per_s)
             for ending in request.formats if len(route.names) else ():
                 write_atomic(folder / f"{device_id}.{ending}", WRITERS[ending](route))
-    return _whole_route(waypoints, request).said
+    return _whole_route(waypoints, request).heights_text
 
 
 def as_listed(waypoints: Waypoints, request: FlightRequest) -> Waypoints:
