@@ -16,7 +16,7 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_core.choices import ExportFormat, SpzVersion, TileContent
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import SupportStep, Surroundings, keeps
-from radiant_core.georef.given_frame import GIVEN
+from radiant_core.georef.given_frame import GIVEN_CRS
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
 
@@ -135,8 +135,8 @@ def _require_system(request: ExportRequest, kind: ExportFormat) -> None:
         if request.require_grids:
             raise BadInput("--require-grids is of a system that is asked for: give it with --crs.")
         return
-    if request.crs == GIVEN and kind not in PLACED:
-        raise BadInput(f"--crs {GIVEN} is of {', '.join(PLACED)} files: leave it out, or name a system such as EPSG:32632.")
+    if request.crs == GIVEN_CRS and kind not in PLACED:
+        raise BadInput(f"--crs {GIVEN_CRS} is of {', '.join(PLACED)} files: leave it out, or name a system such as EPSG:32632.")
     if kind == "tiles":
         raise BadInput("3D Tiles lie on the globe in its own axes (ECEF, EPSG:4978), as the format wants it: leave --crs out.")
     if kind in LEVELLED:

@@ -10,7 +10,7 @@ from radiant_app.workers.sources import has_scene, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3
 from radiant_core.georef.crs import Crs, grid_warnings, parse_crs
-from radiant_core.georef.given_frame import GIVEN, GivenFrame, load_given_frame
+from radiant_core.georef.given_frame import GIVEN_CRS, GivenFrame, load_given_frame
 from radiant_core.georef.reference import Georeference, georeference, local_comments, local_record, require_heights, require_placed
 from radiant_core.georef.sidecar import save_local_sidecar, save_projection, save_sidecar
 
@@ -82,13 +82,13 @@ def place_of(model: Path, crs: str | None) -> ExportPlace:
     without a scene."""
     frame = _frame_of(model)
     given = load_given_frame(model) if model.is_dir() else None
-    if given is not None and (given.is_default if crs is None else crs != GIVEN and _is_system(crs, given.crs)):
+    if given is not None and (given.is_default if crs is None else crs != GIVEN_CRS and _is_system(crs, given.crs)):
         # What is asked for is the given frame itself, which no map has to bend.
         return ExportPlace(comments=given.comments(), given=given, frame=frame)
-    if crs == GIVEN:
+    if crs == GIVEN_CRS:
         if given is None:
             raise BadInput(
-                f"{model} was made from no given model: --crs {GIVEN} needs the folder of a run or scene of a COLMAP project or of "
+                f"{model} was made from no given model: --crs {GIVEN_CRS} needs the folder of a run or scene of a COLMAP project or of "
                 "another alignment."
             )
         return ExportPlace(comments=given.comments(), given=given)
@@ -121,7 +121,7 @@ def _is_system(asked: str, given: str | None) -> bool:
 def crs_warnings(model: Path, crs: str, *, require_grids: bool) -> tuple[str, ...]:
     """Which grids PROJ lacks for `crs` at the model's scene and what that costs, nothing where it
     lacks none or the scene is nowhere; BadInput where `require_grids`."""
-    frame = None if crs == GIVEN else _frame_of(model)
+    frame = None if crs == GIVEN_CRS else _frame_of(model)
     if frame is None or frame.kind != "metric":
         return ()
     return grid_warnings(parse_crs(crs), frame.origin_lat_lon_alt[None], require_grids=require_grids)
