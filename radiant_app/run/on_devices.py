@@ -58,7 +58,7 @@ def _read_poses(config: RunConfig, folders: dict[str, Path] | None, progress: Pr
     poses = read_given_poses(config.source, config.sfm.poses, "together" if folders is None else "by device")
     for message in poses.notes:
         progress.listen(Warned(stage="plan", message=message))
-    save_given_frame(config.out, poses.given)
+    save_given_frame(config.out, poses.frame)
     return poses
 
 
