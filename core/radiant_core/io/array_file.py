@@ -60,10 +60,10 @@ def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tu
     with _open_arrays(path) as file, name_file_in_errors(path):
         record = _record(file)
         require_schema(record, schema)
-        dtypes_in_file = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118
-        if dtypes is not None and dtypes_in_file != dtypes:
-            raise BadInput(f"it holds the arrays {dtypes_in_file}, expected {dict(dtypes)}: write it anew with this version.")
-        return {name: file.get_tensor(name) for name in dtypes_in_file}, record["about"]
+        types = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118
+        if dtypes is not None and types != dtypes:
+            raise BadInput(f"it holds the arrays {types}, expected {dict(dtypes)}: write it anew with this version.")
+        return {name: file.get_tensor(name) for name in types}, record["about"]
 
 
 def schema_of(path: Path) -> str:

@@ -225,7 +225,7 @@ class _Fleet:
         return self._choose(start_counts, base_s, entries, full)
 
     def _choose(self, start_counts: Indices, base_s: FloatArray, entries: list[FloatArray], full: Indices) -> FastestCounts | None:
-        """The earliest entries beyond `start_counts` (E,), if they are proved to be the earliest."""
+        """The earliest entries beyond `start_counts` (E,), where they are proved earliest."""
         missing = self.num_cameras - int(start_counts.sum())
         lengths = np.array([len(times) for times in entries])
         if missing < 0 or missing > lengths.sum():
