@@ -109,7 +109,7 @@ def density_decision(stage: str, counts: Any, num_before: int, num_after: int) -
 
 def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Decision:
     """Gaussians held at the limits of size and elongation, and those that no pixel shows."""
-    counted = f"{counts.num_needles:,} needles and {counts.num_screen_filling:,} screen-filling Gaussians are held at their limits"
+    summary = f"{counts.num_needles:,} needles and {counts.num_screen_filling:,} screen-filling Gaussians are held at their limits"
     case = require(SHAPES)
     # The presets that follow 3DGS limit no shape.
     options = [(config.max_elongation, "times the second axis"), (config.max_scale_per_distance, "of the distance to the nearest camera")]
@@ -117,7 +117,7 @@ def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Dec
     return Decision(
         stage=stage,
         topic="shapes",
-        choice=f"{counted}; {counts.num_dead:,} that no pixel shows are left out",
+        choice=f"{summary}; {counts.num_dead:,} that no pixel shows are left out",
         figure=float(counts.num_needles + counts.num_screen_filling + counts.num_dead),
         unit="Gaussians",
         reason=(f"beyond {limits}, {case.reason}; " if limits else "") + "an opacity below 1/255 is never drawn",

@@ -127,9 +127,9 @@ def _bring_into_one_frame(usable: Mapping[str, tuple[Splats, Cameras, FrameUncer
     refused = {name: frame.reason for name, frame in zip(senders, refined, strict=True) if frame.status == "refused"}
     # Joined, they are as sure of their place as the surest of them; beside each other, the next
     # tier can move them as one body only.
-    remaining = [asdict(frame.uncertainty) for frame in refined if frame.status != "refused"]
+    accepted = [asdict(frame.uncertainty) for frame in refined if frame.status != "refused"]
     surest = min if are_one_group([frame.neighbours for frame in refined], [frame.status != "refused" for frame in refined]) else max
-    common = FrameUncertainty(**{key: surest(one[key] for one in remaining) for key in remaining[0]}) if remaining else None
+    common = FrameUncertainty(**{key: surest(one[key] for one in accepted) for key in accepted[0]}) if accepted else None
     return replace(_move_models(usable, corrections, common), refused=refused)
 
 

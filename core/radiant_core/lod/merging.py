@@ -248,5 +248,5 @@ def _join(growing: _Growing, pairs: NDArray[np.int64]) -> None:
     moved = touched[growing.edges].any(axis=1)
     edges = np.sort(into[growing.edges], axis=1)
     growing.costs[moved] = _costs(growing, edges[moved])
-    between = edges[:, 0] != edges[:, 1]
-    growing.edges, growing.costs = edges[between], growing.costs[between]
+    between_groups = edges[:, 0] != edges[:, 1]
+    growing.edges, growing.costs = edges[between_groups], growing.costs[between_groups]

@@ -91,17 +91,17 @@ def find_change(older: DateRasters, newer: DateRasters, gsd: float, min_area: fl
     grid = older.heights.grid
     if not (older.image.shape == newer.image.shape == (*grid.shape, 3) and newer.heights.grid.shape == grid.shape):
         raise BadInput(f"rasters of {older.image.shape} and {newer.image.shape} came, expected two of one grid.")
-    comparable = older.is_known & newer.is_known
+    is_known = older.is_known & newer.is_known
     measured = (older.heights.source == 1) & (newer.heights.source == 1)
-    if not (comparable | measured).any():
+    if not (is_known | measured).any():
         raise BadInput("no cell is known at both dates: the two runs show different ground.")
     rise = np.where(measured, newer.heights.heights - older.heights.heights, np.nan)
     sigma = np.hypot(older.heights.sigma, newer.heights.sigma)
     with np.errstate(invalid="ignore"):
         higher = measured & (np.abs(rise) > np.maximum(HEIGHT_GSD * gsd, HEIGHT_SIGMAS * sigma))
-    color = color_difference(older.image, newer.image, comparable)
-    usual = float(np.median(color[comparable])) if comparable.any() else 0.0
-    by_height, by_color = _cleaned(higher), _cleaned(comparable & (color > max(COLOR_LEVELS, COLOR_SPREADS * usual)))
+    color = color_difference(older.image, newer.image, is_known)
+    usual = float(np.median(color[is_known])) if is_known.any() else 0.0
+    by_height, by_color = _cleaned(higher), _cleaned(is_known & (color > max(COLOR_LEVELS, COLOR_SPREADS * usual)))
     least = MIN_AREA_GSD2 * gsd**2 if min_area is None else min_area
     patches = _patches(by_height, by_color, rise, color, grid, least)
     return Change(
@@ -110,21 +110,21 @@ def find_change(older: DateRasters, newer: DateRasters, gsd: float, min_area: fl
         by_color=by_color,
         height_change=rise,
         color_change=color,
-        comparable=comparable & measured,
+        comparable=is_known & measured,
         patches=tuple(sorted(patches, key=lambda patch: -patch.area)),
     )
 
 
 def color_difference(older: NDArray[np.uint8], newer: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Difference of two pictures (H,W,3) in levels (H,W), the largest of the channels, after the
-    newer's light is made the older's; 0 where not seen (H,W)."""
+    newer's light is made the older's; 0 outside the mask (H,W)."""
     old, new = (_blurred(image, mask) for image in (older, newer))
     gain = _gain(old, new, mask)
     return np.where(mask, np.abs(old - gain * new).max(axis=-1), 0).astype(np.float32)
 
 
 def _blurred(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Means of the seen cells around."""
+    """Means of the cells around that the mask has."""
     weight = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), BLUR_CELLS)
     sums = cv2.GaussianBlur(np.where(mask[..., None], image, 0).astype(np.float32), (0, 0), BLUR_CELLS)
     return (sums / np.maximum(weight, 1e-3)[..., None]).astype(np.float32)

@@ -131,11 +131,11 @@ def filled(surface: HeightMap, within: NDArray[np.bool_] | None = None, reach_ce
     )
 
 
-def push_pull(values: NDArray[np.float32], mask: NDArray[np.bool_], floor: int = 0) -> NDArray[np.float32]:
+def push_pull(values: NDArray[np.float32], is_known: NDArray[np.bool_], floor: int = 0) -> NDArray[np.float32]:
     """Values (H,W) everywhere: those known, and elsewhere the mean of the smallest square of 2, 4,
     8 … cells' side, smoothly joined, that holds known ones. `floor`: squares below 2^floor are
     averaged even where known."""
-    weight = mask.astype(np.float32)
+    weight = is_known.astype(np.float32)
     sums = values * weight
     pyramid: list[tuple[NDArray[Any], NDArray[Any]]] = [(sums, weight)]
     while max(pyramid[-1][0].shape) > 1:

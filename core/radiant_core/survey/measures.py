@@ -77,15 +77,15 @@ class Measured:
 def require_measure(kind: MeasureKind, places: ArrayLike, base: float | None = None) -> FloatArray:
     """The places (P,2 or 3) of a measure, before there is a surface: BadInput for what `measure`
     refuses of them and of its base on any surface."""
-    listed = np.asarray(places, np.float64)
-    if listed.ndim != 2 or listed.shape[1] not in (2, 3) or not np.isfinite(listed[:, :2]).all() or np.isinf(listed).any():
-        raise BadInput(f"places of shape {listed.shape} came, expected (P, 2) or (P, 3) of finite numbers: east, north and perhaps height.")
+    coords = np.asarray(places, np.float64)
+    if coords.ndim != 2 or coords.shape[1] not in (2, 3) or not np.isfinite(coords[:, :2]).all() or np.isinf(coords).any():
+        raise BadInput(f"places of shape {coords.shape} came, expected (P, 2) or (P, 3) of finite numbers: east, north and perhaps height.")
     least, words = NUM_PLACES[kind]
-    if len(listed) < least or (kind == "height" and len(listed) != 2):
-        raise BadInput(f"{len(listed)} places were given, and {kind} takes {words}.")
+    if len(coords) < least or (kind == "height" and len(coords) != 2):
+        raise BadInput(f"{len(coords)} places were given, and {kind} takes {words}.")
     if base is not None and not (np.isfinite(base) and kind == "volume"):
         raise BadInput(f"a base of {base} came with {kind}: it is the finite height of the plane of a volume.")
-    return listed
+    return coords
 
 
 def measure(
@@ -104,8 +104,8 @@ def measure(
     Raises BadInput for too few places, places that are not finite, off the surface or where it is
     unknown, and outlines that cross themselves or span nothing.
     """
-    listed = require_measure(kind, places, base)
-    points, deviations = _on_surface(listed, surface, None if sigmas is None else np.asarray(sigmas, np.float64))
+    coords = require_measure(kind, places, base)
+    points, deviations = _on_surface(coords, surface, None if sigmas is None else np.asarray(sigmas, np.float64))
     if kind == "distance":
         return _distance(points, deviations, accuracy)
     if kind == "height":
@@ -140,24 +140,24 @@ def measure_places(kind: MeasureKind, places: ArrayLike, sigmas: ArrayLike, accu
     )
 
 
-def _on_surface(listed: FloatArray, surface: HeightMap, of_given: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+def _on_surface(coords: FloatArray, surface: HeightMap, of_given: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Places (P,3) and σ (P,) of their heights; a given height has its own, else that of the
     surface there, or its usual one."""
-    heights, sigmas = surface.at(listed[:, :2])
-    listed_heights = listed[:, 2] if listed.shape[1] == 3 else np.full(len(listed), np.nan)
+    heights, sigmas = surface.at(coords[:, :2])
+    listed_heights = coords[:, 2] if coords.shape[1] == 3 else np.full(len(coords), np.nan)
     is_given = np.isfinite(listed_heights)
     unknown = ~is_given & ~np.isfinite(heights)
     if unknown.any():
         row = int(np.argmax(unknown))
         raise BadInput(
-            f"the surface is not known at place {row + 1}, {listed[row, 0]:.3f}, {listed[row, 1]:.3f}: give its height, or another place."
+            f"the surface is not known at place {row + 1}, {coords[row, 0]:.3f}, {coords[row, 1]:.3f}: give its height, or another place."
         )
     if of_given is None:
         usual = float(np.nanmedian(surface.sigma)) if (surface.source != UNKNOWN).any() else 0.0
         of_given = np.where(np.isfinite(sigmas), sigmas, usual)
-    elif of_given.shape != (len(listed),) or not (np.isfinite(of_given[is_given]).all() and (of_given[is_given] >= 0).all()):
-        raise BadInput(f"σ of heights of shape {of_given.shape} came, expected ({len(listed)},) from zero on.")
-    return np.column_stack([listed[:, :2], np.where(is_given, listed_heights, heights)]), np.where(is_given, of_given, sigmas)
+    elif of_given.shape != (len(coords),) or not (np.isfinite(of_given[is_given]).all() and (of_given[is_given] >= 0).all()):
+        raise BadInput(f"σ of heights of shape {of_given.shape} came, expected ({len(coords)},) from zero on.")
+    return np.column_stack([coords[:, :2], np.where(is_given, listed_heights, heights)]), np.where(is_given, of_given, sigmas)
 
 
 def _height(points: FloatArray, sigmas: FloatArray, accuracy: Accuracy) -> Measured:

@@ -102,9 +102,9 @@ def _agreed(
         if planes is None:
             continue
         width, height = cameras.sizes_wh[index].tolist()
-        candidates = list(maps)
-        candidates[index] = planes if planes.step == STRIDE_PX else finer(planes, (height, width))
-        yield agreed_points(candidates, cameras, index, partners[index], images[index])
+        refined_maps = list(maps)
+        refined_maps[index] = planes if planes.step == STRIDE_PX else finer(planes, (height, width))
+        yield agreed_points(refined_maps, cameras, index, partners[index], images[index])
 
 
 def _partners(scene: SfmScene) -> Sequence[NDArray[np.int64]]:

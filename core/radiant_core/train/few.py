@@ -115,7 +115,7 @@ def choose_for_few(config: TrainConfig, views: TrainingViews, score: Score) -> C
     parts = _parts(views)
     start = _by_number(plain, len(views))
     twice, half = (_resized(start, factor, views, parts) if _grows_by_pixels(plain, len(views)) else None for factor in (2.0, 0.5))
-    num_candidates = 1 + sum(config is not None for config in (twice, half)) + (plain.drop_gaussians == "auto")
+    num_candidates = 1 + sum(option is not None for option in (twice, half)) + (plain.drop_gaussians == "auto")
     if why_not := _why_not_these(parts, num_candidates):
         return Choice(config=plain, decisions=(_not_asked(mode, len(views), why_not),))
     trials = _Trials(score=score, parts=parts, num_steps=most_steps(plain, len(views)), most=len(parts) * num_candidates)

@@ -123,14 +123,14 @@ def initial_gaussians(
     sky of one colour (3,), that of no photograph where it is NaN, by the settings of training."""
     limit = config.max_num_splats
     rows = np.linspace(0, len(points) - 1, min(len(points), max(1, limit - len(fill.points)))).astype(np.int64)
-    known_rgb = sky_rgb if np.isfinite(sky_rgb).all() else np.array(SKY_RGB)
+    sky_color = sky_rgb if np.isfinite(sky_rgb).all() else np.array(SKY_RGB)
     initial = initial_splats(
         np.concatenate([points[rows], fill.points]),
         np.concatenate([colors[rows], fill.colors]),
         cameras,
         max_num_splats=limit,
         sh_degree=config.sh_degree,
-        sky_rgb=known_rgb if config.sky else None,
+        sky_rgb=sky_color if config.sky else None,
     )
     # The sky, last and almost opaque, keeps what it has.
     on_ground = initial.logit_opacities < 0

@@ -66,17 +66,17 @@ def agreed_points(
         np.stack([_numbers(lattice, cameras, at) for lattice, at in zip(planes, view_indices, strict=True)]),
         np.array([MAX_COST, MAX_REPROJECTION_PX, MAX_DEPTH_DIFFERENCE]),
     )
-    agreed = np.flatnonzero(agreeing >= MIN_AGREEING)
-    pixels, (w, a, b) = reference.pixels_of(agreed), reference.planes.reshape(3, -1)[:, agreed].astype(np.float64)
+    agreed_rows = np.flatnonzero(agreeing >= MIN_AGREEING)
+    pixels, (w, a, b) = reference.pixels_of(agreed_rows), reference.planes.reshape(3, -1)[:, agreed_rows].astype(np.float64)
     K, pose = pixel_matrix(cameras, index), cameras.cam_from_world[index]
     x, y = pixels.astype(np.int64).T
     return DensePoints(
-        points=sums[agreed] / (1 + agreeing[agreed, None]),
+        points=sums[agreed_rows] / (1 + agreeing[agreed_rows, None]),
         normals=_normals(pixels, np.stack([w, a, b]), K, pose),
         colors=image[y, x],
         pixels_m=1 / (w * K[0, 0]),
-        costs=reference.costs.ravel()[agreed].astype(np.float64),
-        views=np.full(len(agreed), index),
+        costs=reference.costs.ravel()[agreed_rows].astype(np.float64),
+        views=np.full(len(agreed_rows), index),
     )
 
 
