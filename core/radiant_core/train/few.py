@@ -122,7 +122,7 @@ def choose_for_few(config: TrainConfig, views: TrainingViews, score: Score) -> C
     best, first = start, trials.ask(start)
     if first is None:
         decision = _not_asked(mode, len(views), f"a training without some of them {trials.failure}")
-        return Choice(config=plain, decisions=(decision,), num_trials=trials.taken)
+        return Choice(config=plain, decisions=(decision,), num_trials=trials.num_asked)
     figures, tried = first, []
     challenges: tuple[Callable[[TrainConfig], TrainConfig | None], ...] = (
         lambda best: twice,
@@ -144,11 +144,11 @@ def choose_for_few(config: TrainConfig, views: TrainingViews, score: Score) -> C
         choice=_words(best, views) if best != start else f"{_words(best, views)}, as their number says",
         figure=float((figures - first).mean()),
         unit=f"dB over what the number of photographs says, on {len(first)} of {len(views)} in turn",
-        reason=f"{trials.taken} trainings without them, each candidate against the best before: {', '.join(tried)}; "
+        reason=f"{trials.num_asked} trainings without them, each candidate against the best before: {', '.join(tried)}; "
         f"from {MIN_GAIN_DB:g} dB on one is taken",
         row=require(PHOTOGRAPHS, {"photographs": len(views)}).row,
     )
-    return Choice(config=best if best != start else plain, decisions=(decision,), num_trials=trials.taken)
+    return Choice(config=best if best != start else plain, decisions=(decision,), num_trials=trials.num_asked)
 
 
 @dataclass(kw_only=True)

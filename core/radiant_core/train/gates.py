@@ -140,8 +140,8 @@ def choose_helpers(config: TrainConfig, gates: Sequence[Gate], views: TrainingVi
     except (RadiantError, MemoryError, torch.OutOfMemoryError) as error:
         reason = f"a trial failed ({str(error).split(';')[0].rstrip('.') or 'out of memory'})"
         decisions = [*settled, *(_untried(gate, reason) for gate in gates)]
-        return Choice(config=unasked, decisions=tuple(decisions), num_trials=trials.taken)
-    return Choice(config=best, decisions=tuple(decisions), num_trials=trials.taken)
+        return Choice(config=unasked, decisions=tuple(decisions), num_trials=trials.num_asked)
+    return Choice(config=best, decisions=tuple(decisions), num_trials=trials.num_asked)
 
 
 def trial_size(config: TrainConfig, views: TrainingViews, num_trials: int) -> TrialSize | None:

@@ -257,10 +257,8 @@ class AdaptiveDensity(Part):
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Copies of the sums since the last edit, and what was at the start."""
-        gathered = self.statistics
-        sums = {"sums": gathered.sums, "seen": gathered.view_counts, "radii_px": gathered.radii_px}
         since = {"num_first": np.array(self._num_first), "last_reset": np.array(self._last_reset)}
-        return {**{name: _to_numpy(array).copy() for name, array in sums.items()}, **since}
+        return {**{name: _to_numpy(array).copy() for name, array in self._sums().items()}, **since}
 
     def state_numbers(self) -> dict[str, Any]:
         """The counts."""
@@ -271,9 +269,13 @@ class AdaptiveDensity(Part):
         self.counts = DensityCounts(**numbers)
         self._num_first, self._last_reset = int(arrays["num_first"]), int(arrays["last_reset"])
         self.statistics = DensityStatistics(len(splats), splats.means.device)
-        for name in ("sums", "seen", "radii_px"):
-            array = getattr(self.statistics, name)
+        for name, array in self._sums().items():
             array[:] = arrays[name] if isinstance(array, np.ndarray) else torch.from_numpy(arrays[name]).to(array.device)
+
+    def _sums(self) -> dict[str, Any]:
+        """The statistics by their names in a checkpoint."""
+        statistics = self.statistics
+        return {"sums": statistics.sums, "seen": statistics.view_counts, "radii_px": statistics.radii_px}
 
     def _limit(self, schedule_step: float) -> int:
         """How many Gaussians there may be: all from the start, or planned growth on a line."""
