@@ -144,7 +144,7 @@ def _cuts(plan: EdgePlan) -> list[tuple[tuple[int, int], FloatArray, float]]:
 
 
 def _separating_side(strip: FloatArray, polygon: FloatArray) -> tuple[FloatArray, float]:
-    """The side of a convex `strip` (V,2) that `polygon` lies farthest beyond: normal n and n · x."""
+    """The side of a convex `strip` (V,2) that `polygon` lies farthest beyond: n and n · x."""
     strip = strip if polygon_area_m2(strip) > 0 else strip[::-1]
     sides = np.roll(strip, -1, axis=0) - strip
     lengths = np.linalg.norm(sides, axis=1)

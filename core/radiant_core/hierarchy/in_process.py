@@ -165,8 +165,8 @@ class _Refiner:
     """Device → what its photographs show of the scene, as its edge counted it."""
 
     def refine(self, splats: Splats, number: int, previous: Splats | None = None) -> tuple[Splats, dict[str, Refinement]]:
-        """The scene after a round that starts from `splats`, and what nodes sent in it; `previous`: the
-        scene that the round before made."""
+        """The scene after a round that starts from `splats`, and what nodes sent in it; `previous`:
+        the scene that the round before made."""
         sent: dict[str, Refinement] = {}
 
         def send(node: str, refinement: Refinement) -> list[Refinement]:

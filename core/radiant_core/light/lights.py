@@ -30,8 +30,9 @@ FOCAL_STEP = 0.05
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lights:
     """The light of V photographs: log_gains (V,3); camera_of (V,), the camera of each of K;
-    vignettings (K,3 terms,3 channels); is_known (V,), whether its gain was measured, else 0; evenness,
-    how well gains explain whole pictures (`evenness.py`). BadInput when shapes disagree."""
+    vignettings (K,3 terms,3 channels); is_known (V,), whether its gain was measured, else 0;
+    evenness, how well gains explain whole pictures (`evenness.py`). BadInput when shapes
+    disagree."""
 
     log_gains: FloatArray
     camera_of: NDArray[np.int64]

@@ -131,8 +131,8 @@ def _blurred(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.fl
 
 
 def _gain(older: NDArray[np.float32], newer: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Gain (H,W,3) that makes `newer` as bright as `older`: medians of the ratio over squares of the
-    raster, smoothly joined; a house that changed is no median of 20 × 20 m."""
+    """Gain (H,W,3) that makes `newer` as bright as `older`: medians of the ratio over squares of
+    the raster, smoothly joined; a house that changed is no median of 20 × 20 m."""
     height, width = mask.shape
     side = max(8, int(LIGHT_SHARE * max(height, width)))
     rows, columns = -(-height // side), -(-width // side)

@@ -57,8 +57,8 @@ class Layout:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StepGradients:
     """Sums over `num_views` views: rows (R,) int64, ascending, of the Gaussians that any shows;
-    values (R,K) float32 by a `Layout`; view_counts (R,) uint16, in how many of the views; radii_px (R,)
-    float32, the largest, or None; loss, the sum."""
+    values (R,K) float32 by a `Layout`; view_counts (R,) uint16, in how many of the views; radii_px
+    (R,) float32, the largest, or None; loss, the sum."""
 
     num_views: int
     loss: float
