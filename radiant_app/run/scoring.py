@@ -212,7 +212,7 @@ def _seam_figures(excess: SeamExcess) -> dict[str, Any]:
     return {
         "seam_excess_db": excess.excess_db,
         "seam_excess_at_least_db": excess.at_least_db,
-        "seam_found": excess.found,
+        "seam_found": excess.has_seam,
         "seam_reason": excess.reason,
         "seam_photographs": excess.num_photographs,
     }

@@ -38,7 +38,7 @@ def export_ortho(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
             total = -(-grid.rows // tile_px) * across
             for done, tile in enumerate(ortho_tiles(seen, grid, survey.map_frame, ground.level, tile_px), 1):
                 row, column = tile_px * ((done - 1) // across), tile_px * ((done - 1) % across)
-                known = tile.known[: grid.rows - row, : grid.columns - column]
+                known = tile.is_known[: grid.rows - row, : grid.columns - column]
                 counts["seen"] += int(known.sum())
                 counts["weak"] += int((known & (tile.views[: known.shape[0], : known.shape[1]] < 2)).sum())
                 report(done, total, "tiles")

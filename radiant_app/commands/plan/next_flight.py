@@ -158,7 +158,7 @@ def _propose(
         sightings = found.sights.all_of(candidates.cameras, lambda done, total: report(done, total, "views"))
     count = MOST_VIEWS if request.photographs is None else request.photographs
     with stage_bar(display, "choosing") as report:
-        chosen = choose_views(facets, found.layers.known, sightings, count, lambda done, total: report(done, total, "views"))
+        chosen = choose_views(facets, found.layers.knowledge, sightings, count, lambda done, total: report(done, total, "views"))
     if not chosen:
         raise BadInput("no safe view adds anything to what is known: nothing is to be flown.")
     flights = _within_batteries(request, system, air, candidates, chosen, found)
