@@ -29,7 +29,7 @@ from radiant_app.executors.fork_server import keep_servers
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.out_folder import folder_made_for
-from radiant_app.files.profile_file import KIND, SUFFIXES, listeds, load_profile, save_profile
+from radiant_app.files.profile_file import KIND, SUFFIXES, library_profiles, load_profile, save_profile
 from radiant_app.files.run_folder import read_manifest, require_current
 from radiant_app.run.predictions import planned_training, share_of_epochs, training_key_of
 from radiant_app.workers.sources import detect_source, has_scene, images_folder_of, load_scene_of, sfm_task
@@ -188,7 +188,7 @@ def _epochs(node: Path, name: str) -> int | None:
 def library_table() -> str:
     """The library's machines, aligned, each with the source of its figures."""
     lines = [f"{'profile':<14} {'kind':<9} {'100 photographs':>15}  training and source"]
-    for name, path in listeds().items():
+    for name, path in library_profiles().items():
         listed = load_profile(path, name)
         total_s = float(listed.init_s.curve(100) + listed.train_s.curve(100))
         lines += [f"{name:<14} {listed.kind:<9} {total_s:>13,.0f} s  {listed.machine}; {listed.key}", f"{'':<42}{listed.source}"]
@@ -279,15 +279,14 @@ def _write_profile(
         for name in (*_DEVICE_CURVES, "aggregate_s", "aggregate_alone_s", "merge_s", "sfm_s")
         if (curve := getattr(result, name)) is not None
     }
+    frames = "not measured" if result.frames_s is None else f"{result.frames_s:.1f} s side by side, {result.frames_alone_s:.1f} s alone"
     return {
         "machine": result.machine,
         "training": str(key),
         "measured_steps": measured.num_steps,
         "largest_count": result.train_s.largest_count,
         "curves": {name: {**vars(curve.curve), "rmse": curve.rmse} for name, curve in fitted.items()},
-        "frames": "not measured"
-        if result.frames_s is None
-        else f"{result.frames_s:.1f} s side by side, {result.frames_alone_s:.1f} s alone",
+        "frames": frames,
         "exchange": "not measured" if exchange is None else _exchange_text(exchange),
         "check": _check(measured, joined),
         "warnings": " ".join(_noise(fitted)) or "none",
