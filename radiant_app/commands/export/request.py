@@ -164,9 +164,9 @@ def _without_surroundings(
     from radiant_viewer.runs.shown_model import framed_box, model_box, shown_model
 
     run = load_run_view(request.model, as_trained=request.as_trained) if request.model.is_dir() else None
-    shown = shown_model(splats, model_box(splats) if run is None else framed_box(run.scene, run.cloud_plan))
-    display(Decided(decision=replace(shown.decision, stage="export", reason="asked for by --no-surroundings", forced=True)))
-    return shown.splats, {**figures, "left_out_around": int(shown.around.sum())}
+    cropped = shown_model(splats, model_box(splats) if run is None else framed_box(run.scene, run.cloud_plan))
+    display(Decided(decision=replace(cropped.decision, stage="export", reason="asked for by --no-surroundings", forced=True)))
+    return cropped.splats, {**figures, "left_out_around": int(cropped.around.sum())}
 
 
 def _without_unconstrained(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
@@ -177,12 +177,12 @@ def _without_unconstrained(request: ExportRequest, display: ProgressDisplay) -> 
     around = Surroundings(points=run.scene.points, support=lambda: support)
     loose = model.cleaned.kept & ~keeps(SupportStep(), model.whole, around)
     if not loose.any() or (loose == model.cleaned.kept).all():
-        said = f"{int(loose.sum()):,} of {len(model.splats):,} Gaussians are unconstrained: nothing is left out."
-        display(Warned(stage="clean", message=said))
+        message = f"{int(loose.sum()):,} of {len(model.splats):,} Gaussians are unconstrained: nothing is left out."
+        display(Warned(stage="clean", message=message))
         return model.splats, {**left_out_of(model), "left_out": 0}
     save_ply(request.side_file, model.whole.select(loose))
-    shown = support.shown_px
-    shares = {"left_out_share_of_pixels": float(f"{shown[loose].sum() / max(shown[model.cleaned.kept].sum(), 1e-9):.3g}")}
+    pixel_counts = support.shown_px
+    shares = {"left_out_share_of_pixels": float(f"{pixel_counts[loose].sum() / max(pixel_counts[model.cleaned.kept].sum(), 1e-9):.3g}")}
     figures = {**left_out_of(model), "left_out": int(loose.sum()), **shares, "left_out_file": str(request.side_file)}
     return model.whole.select(model.cleaned.kept & ~loose), figures
 
