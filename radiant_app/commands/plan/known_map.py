@@ -76,7 +76,7 @@ def find_known(survey: Survey, resolution: float | None, display: ProgressDispla
     error_db, model = _errors(survey, sights, known_facets.score, display)
     support = support_raster(facets, survey.map_frame, survey.splats, support_of_survey(survey, display, LONG_SIDE_PX))
     margin_db = None if model is None else model.margin_db
-    layers = KnownMap(facets=facets, known=known_facets, support=support, error_db=error_db, margin_db=margin_db)
+    layers = KnownMap(facets=facets, knowledge=known_facets, support=support, error_db=error_db, margin_db=margin_db)
     return FoundMap(survey=survey, sights=sights, layers=layers, errors=model, faults=faults)
 
 

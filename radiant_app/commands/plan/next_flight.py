@@ -158,7 +158,9 @@ def _propose(
         sightings = known_map.sights.all_of(candidates.cameras, lambda num_done, total: report(num_done, total, "views"))
     count = MOST_VIEWS if request.photographs is None else request.photographs
     with stage_bar(display, "choosing") as report:
-        chosen = choose_views(facets, known_map.layers.knowledge, sightings, count, lambda num_done, total: report(num_done, total, "views"))
+        chosen = choose_views(
+            facets, known_map.layers.knowledge, sightings, count, lambda num_done, total: report(num_done, total, "views")
+        )
     if not chosen:
         raise BadInput("no safe view adds anything to what is known: nothing is to be flown.")
     flights = _within_batteries(request, system, air, candidates, chosen, known_map)
