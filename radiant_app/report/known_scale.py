@@ -37,7 +37,7 @@ def page_scale(run: RunView) -> PageScale:
     known, unit = scale_of_run(run), run.unit
     gsd = sampling_distance(run.scene)
     place = 0.0 if gsd is None else PLACE_GSD * gsd
-    return PageScale(unit=unit, scale_sigma=known.sigma, place_sigma=place, said=known.said, ground=ground_height(run.scene))
+    return PageScale(unit=unit, scale_sigma=known.sigma, place_sigma=place, note=known.said, ground=ground_height(run.scene))
 
 
 def known_scale(scene: SfmScene, survey: Mapping[str, Any] | None) -> KnownScale:
