@@ -44,7 +44,8 @@ class EdgeGrip:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderGrip:
-    """The rim of region `edge`, grabbed at `place` (2,); `outward` (2,): unit normal to `neighbour`."""
+    """The rim of region `edge`, grabbed at `place` (2,); `outward` (2,): unit normal to
+    `neighbour`."""
 
     edge: str
     neighbour: str
