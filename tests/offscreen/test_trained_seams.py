@@ -29,7 +29,7 @@ def drawn(cloud: str) -> tuple[float, SeamFinding, Image]:
 def test_the_error_at_a_cut_is_named_in_the_view_and_joining_takes_it_away() -> None:
     (cut_db, cut, cut_view), (joined_db, join, joined_view) = drawn("crop_merge"), drawn("retrain")
     # 3.3 and 0.6 dB were measured.
-    assert joined_db < cut_db - 0.5 and cut.found and cut.excess_db == cut_db and join.excess_db is None
+    assert joined_db < cut_db - 0.5 and cut.has_seam and cut.excess_db == cut_db and join.excess_db is None
     # The label of the cut has that figure beside its step: its white ground is the larger one.
     white = [int((view[330:400, 140:480] > 200).all(axis=-1).sum()) for view in (cut_view, joined_view)]
     assert white[0] > white[1] + 2000, white

@@ -88,7 +88,7 @@ class Canvas:
         )
         self.backdrop = Backdrop(self.plotter)
         self.before_screenshot: Callable[[], None] = lambda: None
-        self.say: Callable[[str], None] = lambda words: None
+        self.show_message: Callable[[str], None] = lambda words: None
         self.ground_under: Callable[[FloatArray], float | None] = lambda place: None
         self._seen_before: deque[ViewPose] = deque(maxlen=MOST_BEFORE)
         self._aimed_s = -np.inf
@@ -206,12 +206,12 @@ class Canvas:
 
     def say(self, words: str) -> None:
         """Tell the user."""
-        self.say(words)
+        self.show_message(words)
 
     def go_back(self) -> None:
         """See what was seen before the last move."""
         if not self._seen_before:
-            self.say("There is no view before this one")
+            self.show_message("There is no view before this one")
             return
         pose, self._aimed_s = self._seen_before.pop(), time.monotonic()
         self.set_pose(pose)

@@ -87,7 +87,7 @@ class InspectorWindow(QMainWindow):
         self.splitter = splitter = QSplitter(Qt.Orientation.Horizontal)
         self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin, unit=subject.unit)
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
-        self.view.say, self.view.ground_under = self.show_status, subject.ground_under
+        self.view.show_message, self.view.ground_under = self.show_status, subject.ground_under
         self._marks = Marks((self.map, self.view))
         splitter.setStretchFactor(1, 1)
         self.setCentralWidget(splitter)
