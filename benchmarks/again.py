@@ -37,7 +37,7 @@ from radiant_core.next_flight.candidates import FlightRules, air_over, candidate
 from radiant_core.next_flight.choosing import choose_views
 from radiant_core.next_flight.model_surface import MapView, facets_of_model
 from radiant_core.next_flight.predicted_error import error_samples, errors_in_views, fit_errors, mean_errors_db, rank_correlation
-from radiant_core.next_flight.sightings import Known, Sighting, Sights, known_by
+from radiant_core.next_flight.sightings import Knowledge, Sighting, Sights, known_by
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rasterize import resolve_backend
 from radiant_core.render.rendered_view import render_views
@@ -224,7 +224,7 @@ def _shots(cameras: Cameras, rows: Sequence[int]) -> list[Shot]:
 def _map_row(
     town: Town,
     sights: Sights,
-    known_facets: Known,
+    known_facets: Knowledge,
     sightings: Sequence[Sighting],
     splats: Splats,
     flown: tuple[SfmScene, Sequence[NDArray[np.uint8]], NDArray[np.bool_]],

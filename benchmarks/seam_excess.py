@@ -41,7 +41,7 @@ class SeamRow:
         if excess.excess_db is None or excess.at_least_db is None:
             return f"| {self.cell} | {self.arm} | – | – | 0 | {excess.reason} |"
         figures = f"{excess.excess_db:+.2f} | {excess.at_least_db:+.2f} | {excess.num_photographs}"
-        return f"| {self.cell} | {self.arm} | {figures} | {'found' if excess.found else ''} |"
+        return f"| {self.cell} | {self.arm} | {figures} | {'found' if excess.has_seam else ''} |"
 
 
 def model_excess(splats: Splats, cell: Cell) -> SeamExcess:
@@ -97,7 +97,7 @@ def main(
                 rows.append(row)
     for name in ARMS:
         excesses = [row.excess for row in rows if row.arm == name and row.excess.excess_db is not None]
-        typer.echo(f"{name}: found at {sum(bool(excess.found) for excess in excesses)} of {len(excesses)}")
+        typer.echo(f"{name}: found at {sum(bool(excess.has_seam) for excess in excesses)} of {len(excesses)}")
 
 
 if __name__ == "__main__":

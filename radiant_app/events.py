@@ -196,11 +196,11 @@ def encode(event: Event) -> str:
 def decode(line: str | bytes) -> Event:
     """Parse a line written by `encode`; StageFailed for any other line."""
     try:
-        said = _parser().validate_json(line, strict=True)
+        record = _parser().validate_json(line, strict=True)
     except ValidationError as error:
         raise StageFailed(f"a worker wrote a line that is no event: {line[:200]!r} ({_problem_of(error)}).") from error
-    given = {name: getattr(said, name) for name in said.model_fields_set if name != "event"}
-    event: Event = _TYPES[said.event](**given)
+    values = {name: getattr(record, name) for name in record.model_fields_set if name != "event"}
+    event: Event = _TYPES[record.event](**values)
     return event
 
 
@@ -211,14 +211,14 @@ def _parser() -> Any:
     for kind in _TYPES.values():
         hints = get_type_hints(kind, include_extras=True)
         # What an earlier version did not write has its default.
-        defaults = {each.name: ... if each.default is MISSING else each.default for each in fields(kind)}
-        given: dict[str, Any] = {name: (hints[name], default) for name, default in defaults.items()}
+        defaults = {member.name: ... if member.default is MISSING else member.default for member in fields(kind)}
+        types_and_defaults: dict[str, Any] = {name: (hints[name], default) for name, default in defaults.items()}
         named: Any = Literal[kind.__name__]  # pyright: ignore[reportInvalidTypeForm]
-        models.append(create_model(kind.__name__, __base__=Strict, event=(named, ...), **given))
+        models.append(create_model(kind.__name__, __base__=Strict, event=(named, ...), **types_and_defaults))
     # Made from the list of all events, which no checker of types sees.
     one_of: Any = reduce(or_, models)
-    said: Any = Annotated[one_of, Field(discriminator="event")]  # pyright: ignore
-    return TypeAdapter(said)
+    event_type: Any = Annotated[one_of, Field(discriminator="event")]  # pyright: ignore
+    return TypeAdapter(event_type)
 
 
 def _problem_of(error: ValidationError) -> str:

@@ -31,15 +31,15 @@ def defer_interrupts() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    held: list[int] = []
-    before = {number: signal.signal(number, lambda caught, frame: held.append(caught)) for number in NUMBERS}
+    deferred: list[int] = []
+    before = {number: signal.signal(number, lambda caught, frame: deferred.append(caught)) for number in NUMBERS}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        if held:
-            signal.raise_signal(held[0])
+        if deferred:
+            signal.raise_signal(deferred[0])
 
 
 def _interrupt(number: int, frame: Any) -> NoReturn:

@@ -56,13 +56,13 @@ class Pace:
         if self._last.left_s is not None:
             # Between two events it falls with the clock; a late one makes it wait, never end.
             return max(0.5 * self._last.left_s, self._last.left_s - (self.clock() - self._last_s))
-        done, left = self._last.done - self._first.done, self._last.total - self._last.done
+        amount_done, amount_left = self._last.done - self._first.done, self._last.total - self._last.done
         ran_s = self.clock() - self._step_s
-        if not (done > 0 and left > 0 and ran_s >= LEAST_S):
+        if not (amount_done > 0 and amount_left > 0 and ran_s >= LEAST_S):
             return None
-        if ran_s < SURE_S and done < LEAST_SHARE * (done + left):
+        if ran_s < SURE_S and amount_done < LEAST_SHARE * (amount_done + amount_left):
             return None
-        return left * ran_s / done
+        return amount_left * ran_s / amount_done
 
     @property
     def text(self) -> str:
@@ -121,6 +121,6 @@ def run_text(event: RunLeft) -> str:
 
 def clock_text(seconds: float) -> str:
     """Seconds as a clock shows them: 0:03, 12:40, 1:02:03."""
-    minutes, rest = divmod(math.ceil(seconds - 0.5), 60)
+    minutes, remainder = divmod(math.ceil(seconds - 0.5), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+    return f"{hours}:{minutes:02d}:{remainder:02d}" if hours else f"{minutes}:{remainder:02d}"

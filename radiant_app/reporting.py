@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.strangers import Told, parse_record
+from radiant_app.strangers import UntrustedRecord, parse_record
 from radiant_core.decisions import Decision
 from radiant_core.io.run_store import read_json
 
@@ -42,7 +42,7 @@ class EventReporter:
         self.emit(StageProgress(stage=self.stage, **asdict(progress)))
 
 
-class Notes(Told):
+class Notes(UntrustedRecord):
     """What stands in notes.json."""
 
     decisions: tuple[Decision, ...]

@@ -50,8 +50,8 @@ class Cameras:
 
     def __repr__(self) -> str:
         sizes = sorted({f"{width}×{height}" for width, height in self.sizes_wh.tolist()})
-        shown = ", ".join(sizes) if len(sizes) <= 3 else f"{len(sizes)} sizes"
-        return f"Cameras({len(self)}, {shown} px)"
+        size_text = ", ".join(sizes) if len(sizes) <= 3 else f"{len(sizes)} sizes"
+        return f"Cameras({len(self)}, {size_text} px)"
 
     @property
     def centers(self) -> FloatArray:
@@ -81,13 +81,13 @@ class Cameras:
     def any_sees(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Whether each of the points (P,3) projects into any image; occlusion does not count."""
         points = np.asarray(points, dtype=np.float64)
-        seen = np.zeros(len(points), bool)
+        is_seen = np.zeros(len(points), bool)
         for K, pose, size_wh in zip(self.Ks, self.cam_from_world, self.sizes_wh, strict=True):
             in_camera = points @ pose[:3, :3].T + pose[:3, 3]
             in_front = in_camera[:, 2] > 0
             pixels = (in_camera @ K.T)[:, :2] / np.where(in_front, in_camera[:, 2], 1.0)[:, None]
-            seen |= in_front & ((pixels > 0) & (pixels < size_wh)).all(axis=1)
-        return seen
+            is_seen |= in_front & ((pixels > 0) & (pixels < size_wh)).all(axis=1)
+        return is_seen
 
     def scaled(self, long_side_px: int) -> Cameras:
         """The same cameras with images of at most `long_side_px` on the long side; not enlarged."""

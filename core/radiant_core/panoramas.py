@@ -69,8 +69,8 @@ RIG = ring(4, 90.0)
 def frame_of(name: str) -> str:
     """The panorama that a face was cut from, by its name; any other photograph is a frame of its
     own."""
-    folder, slash, rest = name.partition("/")
-    return rest if slash and folder.startswith(PREFIX) and rest else name
+    folder, slash, remainder = name.partition("/")
+    return remainder if slash and folder.startswith(PREFIX) and remainder else name
 
 
 def has_faces(names: Iterable[str]) -> bool:

@@ -40,8 +40,8 @@ class SfmScene:
 
     def seen_by(self, camera_indices: NDArray[np.int64]) -> NDArray[np.int64]:
         """Sorted indices (K,) of the points that at least one of these cameras observes."""
-        seen = np.isin(self.observations[:, 1], camera_indices)
-        return np.unique(self.observations[seen, 0])
+        selected = np.isin(self.observations[:, 1], camera_indices)
+        return np.unique(self.observations[selected, 0])
 
     def points_of_cameras(self) -> list[NDArray[np.int64]]:
         """The points (K,) that each of the C cameras observes, in the order of `observations`."""
@@ -66,11 +66,11 @@ class SfmScene:
         new_point[points] = np.arange(len(points))
         new_camera = np.full(len(self.cameras), -1)
         new_camera[camera_indices] = np.arange(len(camera_indices))
-        kept = self.observations[np.isin(self.observations[:, 1], camera_indices)]
+        observations = self.observations[np.isin(self.observations[:, 1], camera_indices)]
         return SfmScene(
             cameras=self.cameras.select(camera_indices),
             points=self.points[points],
             colors=self.colors[points],
-            observations=np.stack([new_point[kept[:, 0]], new_camera[kept[:, 1]]], axis=1),
+            observations=np.stack([new_point[observations[:, 0]], new_camera[observations[:, 1]]], axis=1),
             frame=self.frame,
         )

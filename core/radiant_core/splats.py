@@ -46,8 +46,8 @@ class Splats:
         # A single number has no length; its shape is refused below.
         count = (*np.shape(self.means), 0)[0]
         shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logit_opacities": (), "sh0": (1, 3), "shN": (None, 3)}
-        for name, rest in shapes.items():
-            object.__setattr__(self, name, check_array(name, getattr(self, name), (count, *rest), np.float32))
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, check_array(name, getattr(self, name), (count, *shape), np.float32))
         if self.shN.shape[1] + 1 not in SH_BASES:
             raise BadInput(f"shN has {self.shN.shape[1]} bases, expected 0, 3, 8 or 15 (degree 0 to 3): pad or cut it.")
 

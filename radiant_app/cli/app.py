@@ -44,8 +44,8 @@ app = typer.Typer(
 _START, _MACHINES, _PARTS, _MODELS, _SOURCE = "Start here", "Plan and machines", "Parts of a run", "Finished models", "Development"
 
 
-def _print_version(asked: bool) -> None:
-    if asked:
+def _print_version(is_typed: bool) -> None:
+    if is_typed:
         typer.echo(f"radiant {__version__}")
         raise typer.Exit
 
@@ -146,10 +146,10 @@ def _how_to_go_on() -> str:
 
 
 def _where_it_lies() -> str:
-    given = [after for option, after in pairwise(sys.argv) if option == "--out"]
-    given += [argument.removeprefix("--out=") for argument in sys.argv if argument.startswith("--out=")]
-    made = [out for out in given if Path(out).exists()]
-    return f"it lies in {made[0]}" if made else "send standard output elsewhere, or free space there"
+    out_paths = [after for option, after in pairwise(sys.argv) if option == "--out"]
+    out_paths += [argument.removeprefix("--out=") for argument in sys.argv if argument.startswith("--out=")]
+    existing = [out for out in out_paths if Path(out).exists()]
+    return f"it lies in {existing[0]}" if existing else "send standard output elsewhere, or free space there"
 
 
 def _say(message: str) -> None:

@@ -22,17 +22,17 @@ def option(
     more."""
     field = config_fields()[path]
     assert field.option is not None
-    known = field.option
-    shown = known.shown if known.shown is not None and known.parse is None else True
+    mark = field.option
+    default_text = mark.default_text if mark.default_text is not None and mark.parse is None else True
     names = names or (field.option_name,)
-    group = group or known.group or GROUPS[path.rpartition(".")[0]]
+    group = group or mark.group or GROUPS[path.rpartition(".")[0]]
     return typer.Option(
         *names,
         help=help or field.help,
-        min=known.min,
-        max=known.max,
-        metavar=known.metavar,
-        show_default=shown,
+        min=mark.min,
+        max=mark.max,
+        metavar=mark.metavar,
+        show_default=default_text,
         rich_help_panel=None if group == FIRST else group,
     )
 
@@ -40,31 +40,38 @@ def option(
 def with_config_options(command: Callable[..., None]) -> Callable[..., None]:
     """`command` with an option per field of `RunConfig` in place of its `**`; see
     `given_values`."""
-    own = [each for each in inspect.signature(command, eval_str=True).parameters.values() if each.kind is not each.VAR_KEYWORD]
-    first = [each for each in own if each.default is each.empty]
-    made = [_parameter(field) for field in config_fields().values() if field.option is not None and field.path != "source"]
-    return _with_parameters(command, [each.replace(kind=each.KEYWORD_ONLY) for each in (*first, *made, *own[len(first) :])])
+    parameters = _named_parameters(command)
+    required = [parameter for parameter in parameters if parameter.default is parameter.empty]
+    of_config = [_parameter(field) for field in config_fields().values() if field.option is not None and field.path != "source"]
+    ordered = (*required, *of_config, *parameters[len(required) :])
+    return _with_parameters(command, [parameter.replace(kind=parameter.KEYWORD_ONLY) for parameter in ordered])
 
 
 def with_options_of(*others: Callable[..., None]) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Puts the options of `others` that are not keywords alone in place of a command's `**`."""
 
     def with_them(command: Callable[..., None]) -> Callable[..., None]:
-        own = [each for each in inspect.signature(command, eval_str=True).parameters.values() if each.kind is not each.VAR_KEYWORD]
-        more = [each.replace(kind=each.KEYWORD_ONLY) for other in others for each in options_of(other)]
-        return _with_parameters(command, [*own, *more])
+        more = [parameter.replace(kind=parameter.KEYWORD_ONLY) for part in others for parameter in options_of(part)]
+        return _with_parameters(command, [*_named_parameters(command), *more])
 
     return with_them
 
 
 def options_of(command: Callable[..., None]) -> list[inspect.Parameter]:
     """The options of a command's part that are its alone: those that are not keywords alone."""
-    return [each for each in inspect.signature(command, eval_str=True).parameters.values() if each.kind is not each.KEYWORD_ONLY]
+    parameters = inspect.signature(command, eval_str=True).parameters.values()
+    return [parameter for parameter in parameters if parameter.kind is not parameter.KEYWORD_ONLY]
+
+
+def _named_parameters(command: Callable[..., None]) -> list[inspect.Parameter]:
+    """Those of a command but its `**`."""
+    parameters = inspect.signature(command, eval_str=True).parameters.values()
+    return [parameter for parameter in parameters if parameter.kind is not parameter.VAR_KEYWORD]
 
 
 def _with_parameters(command: Callable[..., None], parameters: Sequence[inspect.Parameter]) -> Callable[..., None]:
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return command
 
 
@@ -76,7 +83,9 @@ def given_values(context: typer.Context) -> dict[str, Any]:
 
 def typed_options(context: typer.Context) -> dict[str, str]:
     """Parameter → option of all that somebody typed."""
-    return {each.name: each.opts[0] for each in context.command.params if each.name and _was_typed(context, each.name)}
+    return {
+        parameter.name: parameter.opts[0] for parameter in context.command.params if parameter.name and _was_typed(context, parameter.name)
+    }
 
 
 def _was_typed(context: typer.Context, name: str) -> bool:
@@ -91,7 +100,7 @@ def _parameter(field: ConfigField) -> inspect.Parameter:
     kind, default, text = field.kind, field.default, None
     of_paper = RUN_PRESETS["paper"].get(field.path)
     if field.option is not None and field.option.parse is not None:
-        kind, default = str, field.option.shown
+        kind, default = str, field.option.default_text
     elif of_paper is not None:
         text = f"{field.help}  [default: {field.default}; paper: {of_paper}]"
         kind, default = kind | None, None

@@ -69,8 +69,8 @@ def inspect(
     radiant inspect RUN --page
     """
     if run_folder is None:
-        if asked := typed_options(context):
-            option = next(iter(asked.values()))
+        if typed := typed_options(context):
+            option = next(iter(typed.values()))
             raise BadInput(f"{option} needs something to show: name a run, a plan or a model, or type 'radiant inspect' alone.")
         from radiant_app.commands.inspect.window import open_start_window
 

@@ -349,11 +349,15 @@ def _heights(text: str | None) -> tuple[float | None, float | None]:
     return low, high
 
 
-def _asked_format(given: ExportFormat | None, lod: bool, tiles: TileContent | None) -> ExportFormat | None:
+def _asked_format(export_format: ExportFormat | None, lod: bool, tiles: TileContent | None) -> ExportFormat | None:
     """The format that options ask for; BadInput where they ask for two."""
-    asked: dict[str, ExportFormat | None] = {"--lod": "lod" if lod else None, "--tiles": "tiles" if tiles else None, "--format": given}
-    kinds: set[ExportFormat] = {kind for kind in asked.values() if kind is not None}
+    format_of_option: dict[str, ExportFormat | None] = {
+        "--lod": "lod" if lod else None,
+        "--tiles": "tiles" if tiles else None,
+        "--format": export_format,
+    }
+    kinds: set[ExportFormat] = {kind for kind in format_of_option.values() if kind is not None}
     if len(kinds) > 1:
-        named = " and ".join(option for option, kind in asked.items() if kind is not None)
+        named = " and ".join(option for option, kind in format_of_option.items() if kind is not None)
         raise BadInput(f"{named} ask for {' and '.join(sorted(kinds))}: ask for one of them.")
     return next(iter(kinds), None)

@@ -45,9 +45,9 @@ def init(
     listening = None
     if url is not None:
         listening = Listening(url=url, host=host, port=port if port is not None else urlsplit(url).port or 443, plain=plain)
-    made = commands.init(home, listening)
-    known = "a node that is the cloud, unless it joins another one" if made.node == "cloud" else made.node
-    typer.echo(f"{made.folder} is {known}.")
+    node_home = commands.init(home, listening)
+    node_text = "a node that is the cloud, unless it joins another one" if node_home.node == "cloud" else node_home.node
+    typer.echo(f"{node_home.folder} is {node_text}.")
 
 
 @node.command(cls=Command)
@@ -148,8 +148,8 @@ def unpack(
     """
     from radiant_app.commands.network import packs as node_packs
 
-    for said in node_packs.unpack(home, folder):
-        typer.echo(said)
+    for message in node_packs.unpack(home, folder):
+        typer.echo(message)
 
 
 @node.command(cls=Command)

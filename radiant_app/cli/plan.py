@@ -68,9 +68,9 @@ def plan_next_flight(
     take_off: options.TakeOffOption = None,
     no_fly: options.NoFlyOption = None,
     *,
-    given: Mapping[str, Any],
+    typed: Mapping[str, Any],
 ) -> None:
-    """Map what photographs fix of a surface, and plan where to fly next; `given`: the options that
+    """Map what photographs fix of a surface, and plan where to fly next; `typed`: the options that
     every plan has, by name."""
     from radiant_app.commands.plan.flight import battery_seconds, flight_formats
     from radiant_app.commands.plan.next_flight import NextFlightRequest
@@ -81,22 +81,22 @@ def plan_next_flight(
     assert next_run is not None
     request = NextFlightRequest(
         run=next_run,
-        out=given["out"],
+        out=typed["out"],
         photographs=photographs,
         batteries=batteries,
-        system=given["system"],
+        system=typed["system"],
         resolution=resolution,
         safe_m=safe,
-        lowest_m=given["min_height"],
-        highest_m=HIGHEST_M if given["max_height"] is None else given["max_height"],
+        lowest_m=typed["min_height"],
+        highest_m=HIGHEST_M if typed["max_height"] is None else typed["max_height"],
         take_off=take_off,
         no_fly=tuple(no_fly or ()),
-        formats=flight_formats(given["flight_format"] or "kmz,plan,kml"),
-        drone=Drone(speed_m_per_s=given["speed"], battery_s=battery_seconds(given["battery"])),
-        crs=given["crs"],
-        seed=given["seed"],
+        formats=flight_formats(typed["flight_format"] or "kmz,plan,kml"),
+        drone=Drone(speed_m_per_s=typed["speed"], battery_s=battery_seconds(typed["battery"])),
+        crs=typed["crs"],
+        seed=typed["seed"],
     )
-    finish(plan_next(request, terminal_display()), given["as_json"])
+    finish(plan_next(request, terminal_display()), typed["as_json"])
 
 
 @with_options_of(plan_again, plan_next_flight)
@@ -152,11 +152,11 @@ def plan(
     from radiant_app.report.progress import terminal_display
 
     _require_one_source(typed_options(context), source, later)
-    again, next_one = ({each.name: later[each.name] for each in options_of(part)} for part in (plan_again, plan_next_flight))
+    again, next_one = ({parameter.name: later[parameter.name] for parameter in options_of(part)} for part in (plan_again, plan_next_flight))
     if again["after"] is not None:
         return plan_again(**again, out=out, system=system, seed=seed, as_json=as_json)
     if next_one["next_run"] is not None:
-        return plan_next_flight(**next_one, given=context.params)
+        return plan_next_flight(**next_one, typed=context.params)
     result = make_plan(_request_of(context.params), terminal_display())
     for table in [] if as_json else plan_tables(result):
         typer.echo(table)
@@ -168,7 +168,7 @@ class _Instead:
     """What a plan is made of in place of a source."""
 
     flag: str
-    what: str
+    subject: str
     named: str
     does: str
     stays: str
@@ -183,20 +183,20 @@ def _instead() -> Mapping[str, _Instead]:
     return {
         "after": _Instead(
             flag="--after",
-            what="planning again",
+            subject="planning again",
             named="the plan or run",
             does="plans {} again",
             stays="the plan that there is",
-            options=frozenset(each.name for each in options_of(plan_again)),
+            options=frozenset(parameter.name for parameter in options_of(plan_again)),
             shared=frozenset({"out", "system", "seed", "as_json"}),
         ),
         "next_run": _Instead(
             flag="--next",
-            what="the next flight",
+            subject="the next flight",
             named="a finished run",
             does="plans another flight for {}",
             stays="the run that there is",
-            options=frozenset(each.name for each in options_of(plan_next_flight)),
+            options=frozenset(parameter.name for parameter in options_of(plan_next_flight)),
             shared=frozenset({"out", "system", "min_height", "max_height", "flight_format", "speed", "battery", "crs", "seed", "as_json"}),
         ),
     }
@@ -205,16 +205,16 @@ def _instead() -> Mapping[str, _Instead]:
 def _require_one_source(typed: Mapping[str, str], source: Path | None, later: Mapping[str, Any]) -> None:
     """Raise BadInput where what is planned is not named once, and for options of another kind."""
     kinds = _instead()
-    asked = [kind for name, kind in kinds.items() if later[name] is not None]
+    chosen_kinds = [kind for name, kind in kinds.items() if later[name] is not None]
     for kind in kinds.values():
-        if kind not in asked and (wrong := [option for name, option in typed.items() if name in kind.options]):
-            raise BadInput(f"{wrong[0]} is for {kind.what}: name {kind.named} with {kind.flag}.")
-    if not asked and source is None:
+        if kind not in chosen_kinds and (wrong := [option for name, option in typed.items() if name in kind.options]):
+            raise BadInput(f"{wrong[0]} is for {kind.subject}: name {kind.named} with {kind.flag}.")
+    if not chosen_kinds and source is None:
         raise BadInput("source is missing: name waypoints, photographs, a scene or a run; or --after and a plan or run.")
-    if len(asked) > 1:
+    if len(chosen_kinds) > 1:
         raise BadInput("--after plans again and --next plans another flight: ask for one of them.")
     for name, kind in kinds.items():
-        if kind not in asked:
+        if kind not in chosen_kinds:
             continue
         if source is not None:
             raise BadInput(f"{kind.flag} {kind.does.format(later[name])}, and {source} is another source: leave one of them out.")
@@ -229,12 +229,14 @@ def _request_of(typed: Mapping[str, Any]) -> PlanRequest:
     from radiant_app.commands.plan.plan import PlanRequest
     from radiant_core.train.needs import Overrides
 
-    given = {name: typed[name] for name in ("source", "out", "system", "seed", "compare", "slack", "slack_curve", "cut_by", "constraints")}
-    given |= {name: typed[name] for name in ("crs", "require_grids", "train_preset")}
+    same_named = {
+        name: typed[name] for name in ("source", "out", "system", "seed", "compare", "slack", "slack_curve", "cut_by", "constraints")
+    }
+    same_named |= {name: typed[name] for name in ("crs", "require_grids", "train_preset")}
     heights = HeightOptions(*(typed[name] for name in ("heights", "height", "min_height", "max_height", "geoid")))
     drone = DroneText(*(typed[name] for name in ("speed", "battery", "image_width", "field_of_view")))
     return PlanRequest(
-        **given,
+        **same_named,
         method=typed["plan_method"],
         paper=_paper_of(typed["plan_method"], typed["raster_cell_m"], typed["settings"]),
         raster_cell_m=typed["raster_cell_m"] or None,

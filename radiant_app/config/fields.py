@@ -79,7 +79,7 @@ class ConfigField:
             return path_of_text(str(value), self.option_name)
         return self.option.parse(value) if self.option is not None and self.option.parse is not None else value
 
-    def read(self, value: Any, kind: str | None = None) -> Any:
+    def parse_value(self, value: Any, kind: str | None = None) -> Any:
         """The value in a `kind` of file, or the text given to `--set`; "none" is None. BadInput
         names the place and what is expected."""
         from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -107,8 +107,8 @@ def config_fields() -> dict[str, ConfigField]:
 
 def _fields_of(config: type, prefix: str = "") -> Iterator[ConfigField]:
     hints = get_type_hints(config, include_extras=True)
-    for each in fields(config):
-        path, hint = f"{prefix}{each.name}", hints[each.name]
+    for field in fields(config):
+        path, hint = f"{prefix}{field.name}", hints[field.name]
         kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         mark = marks[0] if marks else Option()
         if isinstance(mark, SettingsOf):
@@ -117,7 +117,7 @@ def _fields_of(config: type, prefix: str = "") -> Iterator[ConfigField]:
             yield from _fields_of(kind, f"{path}.")
         else:
             yield ConfigField(
-                path=path, kind=kind, default=each.default, help=_sentences_under_fields()[f"{config.__name__}.{each.name}"], option=mark
+                path=path, kind=kind, default=field.default, help=_sentences_under_fields()[f"{config.__name__}.{field.name}"], option=mark
             )
 
 
@@ -137,16 +137,18 @@ def _sentences_under_fields() -> dict[str, str]:
 def config_of(values: Mapping[str, Any]) -> RunConfig:
     """The run that values of paths ask for, of which one beside a preset wins over it; BadInput
     where a value is missing, wrong, or contradicts another."""
-    given = dict(values)
-    preset = given.pop(PRESET, "default")
+    values_by_path = dict(values)
+    preset = values_by_path.pop(PRESET, "default")
     if preset not in RUN_PRESETS:
         raise BadInput(f"preset {preset!r} is unknown: use one of {', '.join(get_args(RunPreset))}.")
-    if "out" not in given:
+    if "out" not in values_by_path:
         raise BadInput("--out is missing: name the run's folder.")
-    if "source" not in given:
+    if "source" not in values_by_path:
         raise BadInput("source is missing: name the photographs.")
-    of_preset = {path: value for path, value in RUN_PRESETS[preset].items() if path != "plan.method" or given.get("plan.file") is None}
-    return RunConfig(**_arguments({**of_preset, **given}))
+    of_preset = {
+        path: value for path, value in RUN_PRESETS[preset].items() if path != "plan.method" or values_by_path.get("plan.file") is None
+    }
+    return RunConfig(**_arguments({**of_preset, **values_by_path}))
 
 
 def train_options(values: Mapping[str, Any]) -> TrainOptions:
@@ -171,15 +173,15 @@ def _arguments(values: Mapping[str, Any]) -> dict[str, Any]:
         else:
             sections.setdefault(section, {}).setdefault("settings", {})[name] = value
     kinds = get_type_hints(RunConfig)
-    return arguments | {section: kinds[section](**own) for section, own in sections.items()}
+    return arguments | {section: kinds[section](**values_of_section) for section, values_of_section in sections.items()}
 
 
 def tables_of(config: Any) -> dict[str, Any]:
     """All fields of a configuration as nested tables for JSON, with settings and absolute paths."""
     tables: dict[str, Any] = {}
-    for each in fields(config):
-        value = getattr(config, each.name)
-        if each.name == "settings":
+    for field in fields(config):
+        value = getattr(config, field.name)
+        if field.name == "settings":
             for path, setting in value.items():
                 *outer, name = path.split(".")
                 table = tables
@@ -187,7 +189,7 @@ def tables_of(config: Any) -> dict[str, Any]:
                     table = table.setdefault(part, {})
                 table[name] = setting
         else:
-            tables[each.name] = tables_of(value) if is_dataclass(value) else str(value.resolve()) if isinstance(value, Path) else value
+            tables[field.name] = tables_of(value) if is_dataclass(value) else str(value.resolve()) if isinstance(value, Path) else value
     return tables
 
 
@@ -197,19 +199,19 @@ def values_of(tables: Mapping[str, Any], kind: str, prefix: str = "") -> dict[st
     for key, value in tables.items():
         path = f"{prefix}{key}"
         field = config_fields().get(path)
-        if field is None and isinstance(value, dict) and any(known.startswith(f"{path}.") for known in config_fields()):
+        if field is None and isinstance(value, dict) and any(name.startswith(f"{path}.") for name in config_fields()):
             values |= values_of(value, kind, f"{path}.")
             continue
         if field is None:
             raise BadInput(_unknown_key(path, value, kind))
-        values[path] = field.read(value, kind)
+        values[path] = field.parse_value(value, kind)
     return values
 
 
-def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: str = "") -> dict[str, Any]:
-    """The values `given` by options with those of `--set PATH=VALUE`, by path; BadInput for a path
+def with_settings(of_options: Mapping[str, Any], settings: Sequence[str], section: str = "") -> dict[str, Any]:
+    """The values `of_options` with those of `--set PATH=VALUE`, by path; BadInput for a path
     that is unknown, outside of the `section` or there twice, and a value of another kind."""
-    values = dict(given)
+    values = dict(of_options)
     for text in settings:
         path, equals, value = text.partition("=")
         path = path.strip().replace("-", "_")
@@ -217,16 +219,16 @@ def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: st
         if not equals or field is None or not path.startswith(section):
             raise BadInput(f"--set {text!r} sets nothing: {_instead(path, section)}")
         if path in values:
-            other = f", once as {field.option_name}" if path in given else ""
-            raise BadInput(f"--set {path} is given twice{other}: keep one of them.")
-        values[path] = field.read(value)
+            by_option = f", once as {field.option_name}" if path in of_options else ""
+            raise BadInput(f"--set {path} is given twice{by_option}: keep one of them.")
+        values[path] = field.parse_value(value)
     return values
 
 
 def _unknown_key(path: str, value: Any, kind: str) -> str:
-    if any(known.startswith(f"{path}.") for known in config_fields()):
+    if any(name.startswith(f"{path}.") for name in config_fields()):
         return f"{path} is {value!r}, expected a section, [{path}]."
-    sections = {known.rpartition(".")[0] for known in config_fields()} - {""}
+    sections = {name.rpartition(".")[0] for name in config_fields()} - {""}
     if isinstance(value, dict) and (near := get_close_matches(path, sections, 1)):
         return f"{path} is not a section of a {kind}: did you mean [{near[0]}]?"
     return f"{path} is not a key of a {kind}: {_instead(path, expected='expected')}"
@@ -235,17 +237,17 @@ def _unknown_key(path: str, value: Any, kind: str) -> str:
 def _instead(path: str, section: str = "", expected: str = "expected PATH=VALUE with") -> str:
     """What to write in place of an unknown path: the path of a bare or an option's name, that of
     one spelled alike, else what there is."""
-    paths = [known for known in config_fields() if known.startswith(section)]
+    paths = [name for name in config_fields() if name.startswith(section)]
     if path in paths:
         return f"expected {path}=VALUE."
     leaf = path.rpartition(".")[2]
-    meant = [known for known in paths if known.rpartition(".")[2] == leaf]
+    meant = [name for name in paths if name.rpartition(".")[2] == leaf]
     if meant:
         return f"use {' or '.join(meant)}."
-    alike = {known.rpartition(".")[2]: known for known in paths} | {config_fields()[known].typed_name: known for known in paths}
+    alike = {name.rpartition(".")[2]: name for name in paths} | {config_fields()[name].typed_name: name for name in paths}
     near = get_close_matches(path, paths, 1, 0.87) or [alike[name] for name in get_close_matches(leaf, alike, 1, 0.8)]
     if near:
         return f"did you mean {near[0]}?"
-    own = [known for known in paths if known.startswith(f"{path.partition('.')[0]}.")]
-    sections = dict.fromkeys(known if "." not in known else f"{known.partition('.')[0]}.…" for known in paths)
-    return f"{expected} one of {', '.join(own or sections)}."
+    of_section = [name for name in paths if name.startswith(f"{path.partition('.')[0]}.")]
+    sections = dict.fromkeys(name if "." not in name else f"{name.partition('.')[0]}.…" for name in paths)
+    return f"{expected} one of {', '.join(of_section or sections)}."

@@ -103,7 +103,7 @@ class Option:
     min: float | None = None
     max: float | None = None
     metavar: str | None = None
-    shown: str | None = None
+    default_text: str | None = None
     """The default as the help shows it."""
     parse: Callable[[str], Any] | None = None
     """Makes the value of what a user types; None: it is typed as it is."""
@@ -130,7 +130,7 @@ class SfmOptions:
     effort: Effort = "auto"
     """auto: skip what photographs with good overlap do not need; thorough: COLMAP's features, all
     pairs of neighbours and COLMAP's adjustments, in about three times the time."""
-    poses: Annotated[Path | None, Option(metavar="FILE", shown="what lies beside the photographs")] = None
+    poses: Annotated[Path | None, Option(metavar="FILE", default_text="what lies beside the photographs")] = None
     """Alignment to use: a COLMAP model's folder, or a file of another program
     (docs/begun_elsewhere.md); none: photographs are placed anew."""
     refine_poses: Annotated[bool, Option(name="--refine-poses")] = False
@@ -138,14 +138,14 @@ class SfmOptions:
     masks: Path | None = None
     """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, black is ignored; by
     default masks/ beside the photographs, if the names match."""
-    mask_ignores: Annotated[MaskIgnores | None, Option(shown="black; asks where that is most of a mask")] = None
+    mask_ignores: Annotated[MaskIgnores | None, Option(default_text="black; asks where that is most of a mask")] = None
     """Colour that a mask leaves out of a photograph; nothing: masks/ is not used."""
-    film_frames: Annotated[int | None, Option(shown="by motion, 400 at most")] = None
+    film_frames: Annotated[int | None, Option(default_text="by motion, 400 at most")] = None
     """Roughly how many frames of a film become photographs: the sharpest of each stretch of equal
     motion."""
-    panoramas: Annotated[Panoramas | None, Option(shown="those whose XMP says so")] = None
+    panoramas: Annotated[Panoramas | None, Option(default_text="those whose XMP says so")] = None
     """Treat all photographs as equirectangular panoramas and cut them into faces, or none."""
-    up: Annotated[str | None, Option(shown="auto", group=PLACE)] = None
+    up: Annotated[str | None, Option(default_text="auto", group=PLACE)] = None
     """auto: from GPS, else from ground and cameras. Or: ground (the plane through most points is
     level), level (the camera was held level), down (it looked straight down), a photograph's name
     (its top edge is up), or x,y,z in the frame of a COLMAP project. Overrides GPS."""
@@ -160,7 +160,7 @@ class SfmOptions:
     gcp: Annotated[Path | None, Option(metavar="FILE", group=PLACE)] = None
     """Ground control points as in OpenDroneMap's gcp_list.txt: the system (EPSG:…, LOCAL), then
     lines of east north up column row photograph name. All photographs are adjusted to them."""
-    gcp_accuracy: Annotated[str | None, Option(metavar="METRES[,METRES]", shown="0.02", group=PLACE)] = None
+    gcp_accuracy: Annotated[str | None, Option(metavar="METRES[,METRES]", default_text="0.02", group=PLACE)] = None
     """Standard deviation of the coordinates of ground control; two: horizontal, vertical."""
     check_points: Annotated[str | None, Option(metavar="NAMES|every:K", group=PLACE)] = None
     """Points left out of the adjustment, with errors in the report; also marked by the word check
@@ -215,7 +215,7 @@ class PlanOptions:
     cut_by: CutBy = "auto"
     """Cut regions and strips where cameras stand (positions) or where they look (looks); auto:
     where they look if devices then see clearly more of their strips."""
-    devices: Annotated[DevicesUsed | int, Option(metavar="auto|all|N", shown="auto", parse=_devices_of)] = "auto"
+    devices: Annotated[DevicesUsed | int, Option(metavar="auto|all|N", default_text="auto", parse=_devices_of)] = "auto"
     """auto: with a system, only the fastest devices where one owner has few photographs, better in
     six of seven cells; without, this machine as one device where memory holds all photographs. all:
     every device, always so with gps and known. N: this machine as N devices."""
@@ -344,7 +344,7 @@ class ExecutionOptions:
     """ray: host:port of the cluster's head, or local."""
     deadline_factor: Annotated[float, Option(min=0)] = 10.0
     """Drop a node that takes this many times its planned time; 0: never."""
-    checkpoint_every_s: Annotated[float, Option(name="--checkpoint-every", parse=seconds_of, shown="10s")] = 10.0
+    checkpoint_every_s: Annotated[float, Option(name="--checkpoint-every", parse=seconds_of, default_text="10s")] = 10.0
     """Time between two checkpoints of a training."""
 
     @property
@@ -453,14 +453,14 @@ class RunConfig:
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
         if self.frames != "shared" and (self.sfm.masks is not None or self.sfm.intake != AS_FOUND):
-            asked = "--masks, --mask-ignores, --film-frames and --panoramas are of photographs in one place"
-            raise BadInput(f"{asked}, and with --frames {self.frames} devices keep theirs: leave them out, or use --frames shared.")
+            options = "--masks, --mask-ignores, --film-frames and --panoramas are of photographs in one place"
+            raise BadInput(f"{options}, and with --frames {self.frames} devices keep theirs: leave them out, or use --frames shared.")
         if self.frames != "shared" and self.sfm.placed_by_hand:
             reason = "--up, --north, --distance, --height and --gcp place one scene"
             raise BadInput(f"{reason}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")
-        if (asked := self.train.settings.get("cross_validate", "none")) != "none":
+        if (cross_validate := self.train.settings.get("cross_validate", "none")) != "none":
             reason = "is for a model that stands alone, by `radiant train`, and devices of a run are planned for one training each"
-            raise BadInput(f"train.cross_validate is {asked}, which {reason}: leave it out.")
+            raise BadInput(f"train.cross_validate is {cross_validate}, which {reason}: leave it out.")
         for path in (self.source, self.out, self.sfm.poses, self.sfm.masks, self.sfm.gcp, self.plan.file, self.evaluate.lpips_weights):
             if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")

@@ -269,8 +269,8 @@ class Fold:
             self._mark_started(running, message.machine)
         elif isinstance(message, NodeEnded):
             del self.running[node_id]
-            done = message.error is None or is_sealed(running.task.folder, running.task.key)
-            self._finish(running, NodeEnded() if done else running.given_up or message)
+            is_finished = message.error is None or is_sealed(running.task.folder, running.task.key)
+            self._finish(running, NodeEnded() if is_finished else running.given_up or message)
         elif message is not None:
             self.listen(message)
 

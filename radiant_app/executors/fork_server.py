@@ -71,8 +71,8 @@ CAN_FORK = _can_fork()
 class ForkedProcess:
     """What a server forked, as far as `subprocess.Popen` is needed here."""
 
-    def __init__(self, told: int) -> None:
-        self._told = told
+    def __init__(self, pipe: int) -> None:
+        self._pipe = pipe
         self._waiting = threading.Lock()
         self.returncode: int | None = None
         self.stdin: IO[str] | None = None
@@ -80,7 +80,7 @@ class ForkedProcess:
         try:
             self.pid = self._begun()
         except OSError:
-            os.close(told)
+            os.close(pipe)
             raise
         self._alive: int | None = None
         # It may have ended already; it runs in any case, and must not be started once more.
@@ -88,12 +88,12 @@ class ForkedProcess:
             self._alive = os.pidfd_open(self.pid)
 
     def _begun(self) -> int:
-        if not _is_readable(self._told, START_S):
+        if not _is_readable(self._pipe, START_S):
             raise TimeoutError(f"the server of processes forked none within {START_S:.0f} s")
-        what, number = self._line()
-        if what == "code":
+        mark, number = self._line()
+        if mark == "code":
             raise ConnectionError(f"a forked process ended with code {number} before it began")
-        if what != "pid" or number < FIRST_PID:
+        if mark != "pid" or number < FIRST_PID:
             raise ConnectionError("the server of processes forked none")
         return number
 
@@ -113,10 +113,10 @@ class ForkedProcess:
         # An executor waits in a thread of its own and, when it stops, in the main one.
         if self._waiting.acquire(timeout=-1 if timeout_s is None else timeout_s):
             try:
-                if self.returncode is None and _is_readable(self._told if self._alive is None else self._alive, timeout_s):
+                if self.returncode is None and _is_readable(self._pipe if self._alive is None else self._alive, timeout_s):
                     # Its server tells before it lets the process go, or is gone itself.
                     self.returncode = self._line()[1]
-                    for fd in {self._told, self._alive} - {None}:
+                    for fd in {self._pipe, self._alive} - {None}:
                         os.close(fd)
             finally:
                 self._waiting.release()
@@ -125,10 +125,10 @@ class ForkedProcess:
     def _line(self) -> tuple[str, int]:
         """The mark of the next line and its number; "" and 0 where its server is gone."""
         line = b""
-        while not line.endswith(b"\n") and (byte := os.read(self._told, 1)):
+        while not line.endswith(b"\n") and (byte := os.read(self._pipe, 1)):
             line += byte
-        read = _LINE.fullmatch(line)
-        return (read[1].decode(), int(read[2])) if read else ("", 0)
+        match = _LINE.fullmatch(line)
+        return (match[1].decode(), int(match[2])) if match else ("", 0)
 
 
 class ForkServer:
@@ -166,18 +166,18 @@ class ForkServer:
     def start(self, command: Sequence[str], fds: Sequence[int], environment: Mapping[str, str], cwd: Path | None = None) -> ForkedProcess:
         """Fork `python -m COMMAND` with three streams; OSError where that fails."""
         request = {"command": [*command], "environment": {**environment}, "cwd": str(cwd or Path.cwd())}
-        told, tell = os.pipe()
+        pipe, tell = os.pipe()
         try:
             # A message is limited to 200 kB. An environment is not, and is longer as JSON.
             with _in_memory(json.dumps(request).encode()) as written:
                 socket.send_fds(self._asking, [REQUEST], [*fds, tell, written.fileno()])
         except BaseException:
-            os.close(told)
+            os.close(pipe)
             raise
         finally:
             os.close(tell)
         try:
-            return ForkedProcess(told)
+            return ForkedProcess(pipe)
         except TimeoutError:
             # What it may fork yet finds nobody to tell its number to, and ends before its work.
             self._process.kill()
@@ -207,7 +207,7 @@ class ForkServer:
         self._process.wait()
 
 
-class _Kept:
+class _OpenServers:
     """The servers of this process, and how many runs keep them."""
 
     num_runs: int = 0
@@ -218,22 +218,22 @@ class _Kept:
         self.servers = {}
 
 
-_kept = _Kept()
+_open_servers = _OpenServers()
 
 
 @contextlib.contextmanager
 def keep_servers() -> Iterator[None]:
     """Servers are there to be opened within the block, and ended where no other such block runs."""
-    with _kept.lock:
-        _kept.num_runs += 1
+    with _open_servers.lock:
+        _open_servers.num_runs += 1
     try:
         yield
     finally:
-        with _kept.lock:
-            _kept.num_runs -= 1
-            ended = [] if _kept.num_runs else [*_kept.servers.values()]
-            if not _kept.num_runs:
-                _kept.servers.clear()
+        with _open_servers.lock:
+            _open_servers.num_runs -= 1
+            ended = [] if _open_servers.num_runs else [*_open_servers.servers.values()]
+            if not _open_servers.num_runs:
+                _open_servers.servers.clear()
         for server in ended:
             server.close()
 
@@ -241,14 +241,14 @@ def keep_servers() -> Iterator[None]:
 def start_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
     """Start the server that `open_server` will be asked for, whose imports take seconds; None as
     there, but for its imports, and where the system starts no process."""
-    if not CAN_FORK or not _kept.num_runs or environment.get(SWITCH) == "0":
+    if not CAN_FORK or not _open_servers.num_runs or environment.get(SWITCH) == "0":
         return None
     key = (*names, *((name, environment.get(name)) for name in READ_WHEN_LOADED), _num_threads(environment) is None)
-    with _kept.lock:
-        if key not in _kept.servers:
+    with _open_servers.lock:
+        if key not in _open_servers.servers:
             with defer_interrupts(), contextlib.suppress(OSError):
-                _kept.servers[key] = ForkServer(names, environment)
-        return _kept.servers.get(key)
+                _open_servers.servers[key] = ForkServer(names, environment)
+        return _open_servers.servers.get(key)
 
 
 def open_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
@@ -257,7 +257,7 @@ def open_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkSer
     server = start_server(names, environment)
     if server is None:
         return None
-    with _kept.lock:
+    with _open_servers.lock:
         return server if server.is_ready() else None
 
 

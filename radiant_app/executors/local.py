@@ -162,7 +162,7 @@ class Processes:
         server = self.server()
         with defer_interrupts():
             process = self._spawn(node, task, server)
-            reader = threading.Thread(target=self._read, args=(node.id, process), daemon=True)
+            reader = threading.Thread(target=self._read_lines, args=(node.id, process), daemon=True)
             self.running[node.id] = _Running(task=task, process=process, reader=reader)
             reader.start()
         return True
@@ -214,7 +214,7 @@ class Processes:
             except OSError as error:
                 raise StageFailed(_why_not_started(task, error)) from error
 
-    def _read(self, node_id: str, process: Process) -> None:
+    def _read_lines(self, node_id: str, process: Process) -> None:
         assert process.stdout is not None and process.stdin is not None
         with process.stdin, process.stdout as lines:
             for line in lines:
@@ -251,8 +251,8 @@ def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
 def worker_environment(num_threads: int, edges_at_once: int = 1) -> dict[str, str]:
     """The variables of a worker; edges that join side by side on its machine share its memory."""
     # Without the last, OpenMP's threads spin after their part and take a core of the rasterizer's.
-    own = {"OMP_NUM_THREADS": str(num_threads), EDGES_AT_ONCE: str(max(1, edges_at_once))}
-    return {**os.environ, **own, "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
+    thread_variables = {"OMP_NUM_THREADS": str(num_threads), EDGES_AT_ONCE: str(max(1, edges_at_once))}
+    return {**os.environ, **thread_variables, "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
 
 
 def log_path(folder: Path) -> Path:

@@ -124,7 +124,7 @@ class _Cluster:
                 env=_environment(self.address),
                 start_new_session=True,
             )
-        threading.Thread(target=self._read, args=(self.process,), daemon=True).start()
+        threading.Thread(target=self._read_messages, args=(self.process,), daemon=True).start()
         try:
             answer = self.messages.get()
             if answer is None or "refused" in answer:
@@ -233,7 +233,7 @@ class _Cluster:
         except BrokenPipeError:
             return  # `wait` reports the lost driver
 
-    def _read(self, process: subprocess.Popen[str]) -> None:
+    def _read_messages(self, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None
         with process.stdout as lines:
             for line in lines:

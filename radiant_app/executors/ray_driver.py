@@ -173,11 +173,11 @@ class _Driver:
         dropped = {node: task}
         if task.gang is not None and not task.gang.began:
             task.gang.close()
-            dropped = {each: other for each, other in self.tasks.items() if other.gang is task.gang}
-        for each, other in dropped.items():
-            ray.cancel(other.items, force=True)
-            del self.tasks[each]
-            _send(node=each, lost="the machine that it waited for is gone.")
+            dropped = {name: waiting for name, waiting in self.tasks.items() if waiting.gang is task.gang}
+        for name, waiting in dropped.items():
+            ray.cancel(waiting.items, force=True)
+            del self.tasks[name]
+            _send(node=name, lost="the machine that it waited for is gone.")
 
 
 @ray.remote(max_retries=0, num_returns="streaming")

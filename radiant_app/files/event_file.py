@@ -55,7 +55,7 @@ class EventFile:
         self._path, self._listen, self._clock = run / EVENTS_NAME, listen, clock
         self._file: IO[str] | None = None
         self._written_s: dict[str, float] = {}
-        self._seen: dict[str, StageProgress] = {}
+        self._last_of_stage: dict[str, StageProgress] = {}
 
     def __enter__(self) -> Self:
         with suppress(OSError):
@@ -79,8 +79,8 @@ class EventFile:
     def _is_too_soon(self, event: Event) -> bool:
         if not isinstance(event, StageProgress):
             return False
-        last, now_s = self._seen.get(event.stage), self._clock()
-        self._seen[event.stage] = event
+        last, now_s = self._last_of_stage.get(event.stage), self._clock()
+        self._last_of_stage[event.stage] = event
         begins = last is not None and (event.phase != last.phase or event.done < last.done or event.total != last.total)
         if now_s - self._written_s.get(event.stage, float("-inf")) < (MIN_PHASE_S if begins else SECONDS_BETWEEN):
             return True
@@ -140,12 +140,12 @@ def _count_loss(event: Event, losses: dict[str, list[tuple[float, float]]]) -> N
     """Add the loss that trainings tell in their note; a stage that begins anew begins its curve."""
     if isinstance(event, StageStarted):
         losses.pop(event.stage, None)
-    if not isinstance(event, StageProgress) or not event.total > 0 or (told := LOSS.search(event.note)) is None:
+    if not isinstance(event, StageProgress) or not event.total > 0 or (match := LOSS.search(event.note)) is None:
         return
     curve, share = losses.setdefault(event.stage, []), event.done / event.total
     if curve and share < curve[-1][0]:
         curve.clear()
-    curve.append((share, float(told[1])))
+    curve.append((share, float(match[1])))
 
 
 def progress_stamps(run: Path) -> tuple[object, ...]:
@@ -164,8 +164,8 @@ def _next_state(event: Event) -> StageState | None:
     if isinstance(event, StageStarted):
         return StageState(stage=event.stage, state="running")
     if isinstance(event, StageProgress):
-        left = "" if event.left_s is None else f"about {clock_text(max(1.0, event.left_s))} left"
-        note = ", ".join(text for text in (event.doing, event.note, left) if text)
+        time_left = "" if event.left_s is None else f"about {clock_text(max(1.0, event.left_s))} left"
+        note = ", ".join(text for text in (event.doing, event.note, time_left) if text)
         return StageState(stage=event.stage, state="running", completed=event.done, total=event.total, note=note)
     if isinstance(event, StageDone):
         return StageState(stage=event.stage, state="done", seconds=event.seconds)

@@ -91,21 +91,24 @@ def load_jobs(path: Path, folder: Path) -> tuple[Job, ...]:
     base, folder = path.resolve().parent, folder.resolve()
     defaults = _dump_given(content.defaults)
     try:
-        jobs = tuple(_job({**defaults, **_dump_given(each)}, base, folder) for each in content.job)
+        jobs = tuple(_job({**defaults, **_dump_given(table)}, base, folder) for table in content.job)
         _check(jobs, folder)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
     return jobs
 
 
-def _job(given: dict[str, Any], base: Path, folder: Path) -> Job:
-    name = given.pop("name")
-    known = {**_job_options(), "source": config_fields()["source"]}
+def _job(options: dict[str, Any], base: Path, folder: Path) -> Job:
+    name = options.pop("name")
+    fields_of_options = {**_job_options(), "source": config_fields()["source"]}
     try:
-        out = absolute_path(path_of_text(given.pop("out", name), "out"), folder, "out")
-        settings = given.pop("set", ())
+        out = absolute_path(path_of_text(options.pop("out", name), "out"), folder, "out")
+        settings = options.pop("set", ())
         values = _make_absolute(
-            with_settings({known[key].path: known[key].of_option(value) for key, value in given.items()}, settings), base
+            with_settings(
+                {fields_of_options[key].path: fields_of_options[key].of_option(value) for key, value in options.items()}, settings
+            ),
+            base,
         )
         config = config_of({**values, "out": out})
     except BadInput as error:
@@ -129,9 +132,9 @@ def _check(jobs: Sequence[Job], folder: Path) -> None:
                 raise BadInput(f"job {job.name!r}: {file} is no file or folder: correct the path; it is relative to the job file.")
         if folder.is_relative_to(out) or out.is_relative_to(folder / RECORDS):
             raise BadInput(f"job {job.name!r}: out is {out}, which the batch needs for itself: choose another folder.")
-        for other in jobs[:index]:
-            if out.is_relative_to(other.config.out) or other.config.out.is_relative_to(out):
-                raise BadInput(f"jobs {other.name!r} and {job.name!r} share the out {out}: give each a folder of its own.")
+        for earlier in jobs[:index]:
+            if out.is_relative_to(earlier.config.out) or earlier.config.out.is_relative_to(out):
+                raise BadInput(f"jobs {earlier.name!r} and {job.name!r} share the out {out}: give each a folder of its own.")
 
 
 def _make_absolute(values: dict[str, Any], base: Path) -> dict[str, Any]:

@@ -17,8 +17,8 @@ def require_folder_for(out: Path) -> None:
     if nearest is None or nearest.is_dir():
         return
     leads_nowhere = nearest.is_symlink() and not nearest.exists()
-    what = f"a link to {nearest.readlink()}, which does not exist" if leads_nowhere else "a file"
-    raise BadInput(f"{nearest} is {what}, expected a folder to write {out.name} into: choose another place.")
+    obstacle = f"a link to {nearest.readlink()}, which does not exist" if leads_nowhere else "a file"
+    raise BadInput(f"{nearest} is {obstacle}, expected a folder to write {out.name} into: choose another place.")
 
 
 @contextmanager

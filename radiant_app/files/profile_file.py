@@ -110,9 +110,9 @@ class _File(Strict):
     sfm_s: _Fitted | None = None
 
     def build(self, name: str) -> Profile:
-        given: dict[str, _Fitted | None] = {curve: getattr(self, curve) for curve in _CURVES}
+        fits: dict[str, _Fitted | None] = {curve: getattr(self, curve) for curve in _CURVES}
         curves: dict[str, Any] = {}
-        for curve, fitted in given.items():
+        for curve, fitted in fits.items():
             try:
                 curves[curve] = None if fitted is None else fitted.build()
             except BadInput as error:
@@ -159,15 +159,17 @@ def library_profiles() -> dict[str, Path]:
     return {path.stem: path for path in sorted(LIBRARY.glob("*.toml"))}
 
 
-def find_profile(name: str, beside: Path) -> Profile:
-    """The profile that a system file in the folder `beside` names: one of the library, or a curve
+def find_profile(name: str, folder: Path) -> Profile:
+    """The profile that a system file in `folder` names: one of the library, or a curve
     file relative to it."""
     if name.endswith(SUFFIXES):
-        return load_profile(beside / name, name)
-    known = library_profiles()
-    if name not in known:
-        raise BadInput(f"profile {name!r} is not in the library: use one of {', '.join(known)}, or a curve file ending in .toml or .json.")
-    return load_profile(known[name], name)
+        return load_profile(folder / name, name)
+    profiles = library_profiles()
+    if name not in profiles:
+        raise BadInput(
+            f"profile {name!r} is not in the library: use one of {', '.join(profiles)}, or a curve file ending in .toml or .json."
+        )
+    return load_profile(profiles[name], name)
 
 
 def _load_json(path: Path) -> Any:

@@ -134,12 +134,12 @@ def open_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequenc
         with RunLock(out), _record_outcome(_reopen(out, settings)) as manifest:
             yield manifest
         return
-    made = _create_folders(out)
+    new_folders = _create_folders(out)
     # A lock held by another process is no reason to clean up: the folder is the work of that run.
     with RunLock(out):
         require_empty(out)
         fresh = Manifest(folder=out, config=settings)
-        with _remove_after_bad_input(out, made, keep=keep), _record_outcome(fresh) as manifest:
+        with _remove_after_bad_input(out, new_folders, keep=keep), _record_outcome(fresh) as manifest:
             yield manifest
 
 
@@ -171,10 +171,10 @@ def sfm_folder(out: Path, task: dict[str, Any], *, resume: bool) -> Iterator[Non
             _require_unfinished(out, task)
             yield
         return
-    made = _create_folders(out)
+    new_folders = _create_folders(out)
     with RunLock(out):
         require_empty(out)
-        with _remove_after_bad_input(out, made):
+        with _remove_after_bad_input(out, new_folders):
             write_json(out / SFM_TASK, task)
             yield
 
@@ -196,13 +196,13 @@ def create_folder(out: Path, *, resumable: bool = False, whole: bool = False) ->
     be made. After a BadInput within, everything that was made here goes again; where it is
     `resumable`, not after a full disk; where it is of use only as a `whole`, after a failure and
     Ctrl-C too."""
-    made = _create_folders(out, resumable=resumable)
-    with _remove_after_bad_input(out, made, resumable=resumable):
+    new_folders = _create_folders(out, resumable=resumable)
+    with _remove_after_bad_input(out, new_folders, resumable=resumable):
         try:
             yield
         except (StageFailed, KeyboardInterrupt):
             if whole:
-                _empty(out, made)
+                _empty(out, new_folders)
             raise
 
 
@@ -233,23 +233,23 @@ def _has_content(out: Path) -> bool:
 
 
 @contextmanager
-def _remove_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (), *, resumable: bool = True) -> Iterator[None]:
-    """After a BadInput within, empty `out` and remove folders `made`, unless a file fits `keep`."""
+def _remove_after_bad_input(out: Path, new_folders: list[Path], keep: Sequence[str] = (), *, resumable: bool = True) -> Iterator[None]:
+    """After a BadInput within, empty `out` and remove `new_folders`, unless a file fits `keep`."""
     try:
         yield
     except BadInput as error:
         # A damaged store or a full disk is no bad input: the other results are worth keeping.
         worth_it = isinstance(error, StoreDamaged | CannotWrite if resumable else StoreDamaged) and _has_content(out)
-        if not worth_it and not any(found for pattern in keep for found in out.glob(pattern)):
-            _empty(out, made)
+        if not worth_it and not any(path for pattern in keep for path in out.glob(pattern)):
+            _empty(out, new_folders)
         raise
 
 
-def _empty(out: Path, made: list[Path]) -> None:
+def _empty(out: Path, new_folders: list[Path]) -> None:
     """Take away what is in a folder, and the folders that were made for it."""
     for inner in list(out.iterdir()):
         shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
-    for folder in made:
+    for folder in new_folders:
         # Another run may have started here in the meantime.
         with suppress(OSError):
             folder.rmdir()
@@ -260,17 +260,17 @@ def recorded_config(config: RunConfig) -> dict[str, Any]:
     return {name: value for name, value in tables_of(config).items() if name not in UNRECORDED}
 
 
-def differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> str:
+def differing_options(options: Mapping[str, Any], before: Mapping[str, Any]) -> str:
     """The options that differ from those before, as the command line names them; empty if none."""
-    return ", ".join(sorted(set(_differing_options(asked, before))))
+    return ", ".join(sorted(set(_differing_options(options, before))))
 
 
-def _differing_options(asked: Mapping[str, Any], before: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    for name in {*asked, *before} if prefix else asked:
-        value, other, path = asked.get(name), before.get(name), f"{prefix}{name}"
-        if value != other and isinstance(value, dict | None) and isinstance(other, dict | None) and path not in OPTIONS:
-            yield from _differing_options(value or {}, other or {}, f"{path}.")
-        elif value != other:
+def _differing_options(options: Mapping[str, Any], before: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for name in {*options, *before} if prefix else options:
+        value, earlier, path = options.get(name), before.get(name), f"{prefix}{name}"
+        if value != earlier and isinstance(value, dict | None) and isinstance(earlier, dict | None) and path not in OPTIONS:
+            yield from _differing_options(value or {}, earlier or {}, f"{path}.")
+        elif value != earlier:
             yield _option_name(path, name)
 
 
@@ -285,13 +285,13 @@ def _option_name(path: str, name: str) -> str:
 def software_versions() -> dict[str, str]:
     """Versions of the software that results depend on."""
     packages = ("torch", "numpy", "scipy", "pycolmap", "open3d", "opencv-contrib-python-headless")
-    found = {"radiant": __version__, "python": platform.python_version(), "machine": platform.machine()}
+    versions = {"radiant": __version__, "python": platform.python_version(), "machine": platform.machine()}
     for package in packages:
         try:
-            found[package] = version(package)
+            versions[package] = version(package)
         except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+            versions[package] = "not installed"
+    return versions
 
 
 class _Record(BaseModel):
@@ -327,8 +327,8 @@ def _digest(record: dict[str, Any]) -> str:
 
 def _require_unchanged(record: Any) -> None:
     """Raise BadInput if a manifest was changed; older ones have no hash and are accepted."""
-    known = {"version", "software", "sha256", "ledger", *RECORDED}
-    if not isinstance(record, dict) or not record.keys() <= known:
+    known_keys = {"version", "software", "sha256", "ledger", *RECORDED}
+    if not isinstance(record, dict) or not record.keys() <= known_keys:
         raise BadInput("it has keys that no manifest has")
     if "sha256" in record and record.pop("sha256") != _digest(record):
         raise BadInput("its hash is not that of what was written")

@@ -28,7 +28,7 @@ class ScoreFile(KeptScores):
 
     def __init__(self, path: Path, warn: Callable[[str], None] = lambda message: None) -> None:
         self._path, self._warn = path, warn
-        self._scores = self._read()
+        self._scores = self._stored_scores()
 
     def find(self, key: str) -> FloatArray | None:
         """The score of that trial, if there is one."""
@@ -43,7 +43,7 @@ class ScoreFile(KeptScores):
         except BadInput as error:
             self._warn(f"the score of a trial was not kept: {str(error).rstrip('.')}. Training goes on")
 
-    def _read(self) -> dict[str, list[float]]:
+    def _stored_scores(self) -> dict[str, list[float]]:
         if not self._path.exists():
             return {}
         try:

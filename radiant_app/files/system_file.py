@@ -137,15 +137,15 @@ class _Device(Strict):
         """Whether it says what its work costs."""
         return bool(self.model_fields_set & {"profile", *_DEVICE_COSTS})
 
-    def build(self, folder: Path, beside: _Device | None) -> tuple[Device, ...]:
+    def build(self, folder: Path, reference: _Device | None) -> tuple[Device, ...]:
         """The device, or `count` equal ones with numbered ids, at the costs of the one beside it
         where it names none."""
-        one = self._build_one(folder) if beside is None or self.names_costs else self._like(beside, folder)
+        one = self._build_one(folder) if reference is None or self.names_costs else self._like(reference, folder)
         return (one,) if self.count is None else tuple(replace(one, id=f"{self.id}-{number + 1}") for number in range(self.count))
 
-    def _like(self, beside: _Device, folder: Path) -> Device:
-        known = {name: getattr(beside, name) for name in ("profile", *_DEVICE_COSTS) if name in beside.model_fields_set}
-        alike = self.model_copy(update={**known, "relative_speed": self.relative_speed * beside.relative_speed})
+    def _like(self, reference: _Device, folder: Path) -> Device:
+        costs = {name: getattr(reference, name) for name in ("profile", *_DEVICE_COSTS) if name in reference.model_fields_set}
+        alike = self.model_copy(update={**costs, "relative_speed": self.relative_speed * reference.relative_speed})
         return alike._build_one(folder)
 
     def _build_one(self, folder: Path) -> Device:
@@ -187,17 +187,17 @@ class _Edge(Strict):
     time_s: _Curve | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
 
-    def build(self, folder: Path, beside: list[_Device]) -> Edge:
-        """The edge; `beside`: the devices of all edges that name costs."""
+    def build(self, folder: Path, costed_devices: list[_Device]) -> Edge:
+        """The edge; `costed_devices`: the devices of all edges that name costs."""
         if self.position_m is not None and self.lat_lon_deg is not None:
             raise BadInput(f"edge {self.id!r} has both position_m and lat_lon_deg: give one of them or neither.")
         if self.lat_lon_deg is not None and (abs(self.lat_lon_deg[0]) > 90 or abs(self.lat_lon_deg[1]) > 180):
             raise BadInput(
                 f"edge {self.id!r} has lat_lon_deg {self.lat_lon_deg}, expected a latitude within ±90 and a longitude within ±180."
             )
-        own = {"profile", "costs_from", "aggregate_s", "aggregate_alone_s", "uplink_mbit_per_s", "speed", "memory_gb"}
-        own |= {"latency_ms", "add_ms_per_mb"}
-        surplus = self.model_fields_set & own
+        replaced_by_time = {"profile", "costs_from", "aggregate_s", "aggregate_alone_s", "uplink_mbit_per_s", "speed", "memory_gb"}
+        replaced_by_time |= {"latency_ms", "add_ms_per_mb"}
+        surplus = self.model_fields_set & replaced_by_time
         if self.time_s is not None and surplus:
             raise BadInput(f"edge {self.id!r} has time_s, its whole time, and {min(surplus)} too: remove one of them.")
         profile = _profile_of(self, f"edge {self.id!r}", ("aggregate_s", "aggregate_alone_s"), folder)
@@ -207,7 +207,7 @@ class _Edge(Strict):
             if profile.aggregate_s is None:
                 raise BadInput(f"edge {self.id!r}: profile {self.profile!r} has no aggregate_s: measure it, or give aggregate_s here.")
             joined, alone = profile.aggregate_s.curve, None if profile.aggregate_alone_s is None else profile.aggregate_alone_s.curve
-        devices = tuple(device for table in self.device for device in table.build(folder, self._beside(table, beside)))
+        devices = tuple(device for table in self.device for device in table.build(folder, self._reference_of(table, costed_devices)))
         latency_s, add_s_per_byte = _exchange_of(self, [profile, *(device.profile for device in devices)])
         return Edge(
             id=self.id,
@@ -227,16 +227,16 @@ class _Edge(Strict):
             add_s_per_byte=add_s_per_byte,
         )
 
-    def _beside(self, device: _Device, everywhere: list[_Device]) -> _Device | None:
+    def _reference_of(self, device: _Device, everywhere: list[_Device]) -> _Device | None:
         """The device whose costs one that names none has; BadInput where those beside it differ."""
         if device.names_costs:
             return None
-        asked = "relative_speed" in device.model_fields_set
+        scales_speed = "relative_speed" in device.model_fields_set
         # Costs that are spelt out are somebody's; a profile is a machine that others can be like.
-        near = [other for other in self.device if other.names_costs and (asked or other.profile is not None)]
-        near = near or [other for other in everywhere if other.profile is not None]
-        kinds = {_costs_text(other): other for other in near}
-        if len(kinds) > 1 and not asked:
+        near = [candidate for candidate in self.device if candidate.names_costs and (scales_speed or candidate.profile is not None)]
+        near = near or [candidate for candidate in everywhere if candidate.profile is not None]
+        kinds = {_costs_text(candidate): candidate for candidate in near}
+        if len(kinds) > 1 and not scales_speed:
             return None
         if len(kinds) > 1:
             raise BadInput(
@@ -258,9 +258,9 @@ def _costs_text(device: _Device) -> str:
 def _profile_of(table: _Device | _Edge | _Cloud, owner: str, costs: tuple[str, ...], folder: Path) -> Profile | None:
     if table.profile is None:
         return None
-    beside = [name for name in (*costs, "costs_from") if name in table.model_fields_set]
-    if beside:
-        raise BadInput(f"{owner} has both profile and {beside[0]}: keep one of them.")
+    other_costs = [name for name in (*costs, "costs_from") if name in table.model_fields_set]
+    if other_costs:
+        raise BadInput(f"{owner} has both profile and {other_costs[0]}: keep one of them.")
     try:
         return find_profile(table.profile, folder)
     except BadInput as error:
@@ -328,8 +328,8 @@ def load_system(path: Path, *, curves: bool = False) -> System:
     tables = load_toml(path, "system file")
     try:
         file = _File.model_validate(tables)
-        beside = [device for edge in file.edge for device in edge.device if device.names_costs]
-        edges = tuple(edge.build(path.parent, beside) for edge in file.edge)
+        costed_devices = [device for edge in file.edge for device in edge.device if device.names_costs]
+        edges = tuple(edge.build(path.parent, costed_devices) for edge in file.edge)
         system = System(edges=edges, cloud=file.cloud.build(path.parent), training=None if file.training is None else file.training.build())
         unknown = [edge.id for edge in system.edges if not edge.devices]
         if unknown and not curves:

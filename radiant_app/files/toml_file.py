@@ -46,8 +46,8 @@ def _with_nul(value: Any, key: str = "") -> str | None:
     if isinstance(value, str):
         return key if "\0" in value else None
     if isinstance(value, list):
-        return next((deeper for each in value if (deeper := _with_nul(each, key))), None)
+        return next((deeper for item in value if (deeper := _with_nul(item, key))), None)
     if not isinstance(value, dict):
         return None
-    named = ((f"{key}.{name}" if key else name, each) for name, each in value.items())
-    return next((deeper for path, each in named if (deeper := path.replace("\0", "\\0") if "\0" in path else _with_nul(each, path))), None)
+    named = ((f"{key}.{name}" if key else name, item) for name, item in value.items())
+    return next((deeper for path, item in named if (deeper := path.replace("\0", "\\0") if "\0" in path else _with_nul(item, path))), None)

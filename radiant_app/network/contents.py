@@ -21,7 +21,7 @@ from radiant_app.network.kinds import MAX_SMALL_BYTES, NOTES_NAME, REPORT_NAME
 from radiant_app.network.messages import DevicesReport
 from radiant_app.network.reception import plain_text
 from radiant_app.reporting import read_notes
-from radiant_app.strangers import WRONG, Told, parse_record
+from radiant_app.strangers import WRONG, UntrustedRecord, parse_record
 from radiant_app.workers.inbox import CORRECTIONS_NAME, REFUSED_NAME, load_corrections
 from radiant_app.workers.rasters import Raster, count_of, raster_of
 from radiant_app.workers.scores import Scores, scores_of
@@ -49,7 +49,7 @@ Figure = Annotated[int, Field(ge=-MOST, le=MOST)] | Annotated[float, Field(ge=-M
 Deviation = Annotated[float, Field(gt=0, le=MAX_UNCERTAINTY)]
 
 
-class Uncertainty(Told):
+class Uncertainty(UntrustedRecord):
     """See `FrameUncertainty`."""
 
     position_m: Deviation
@@ -57,7 +57,7 @@ class Uncertainty(Told):
     rotation_rad: Deviation
 
 
-class ToldFrame(Told):
+class FrameRecord(UntrustedRecord):
     """How a node's frame is known, or why it has no model."""
 
     status: Literal["placed", "missing"]
@@ -65,7 +65,7 @@ class ToldFrame(Told):
     uncertainty: Uncertainty | None
 
 
-class Summary(Told):
+class Summary(UntrustedRecord):
     """A training's figures; those that everybody reads are always there."""
 
     model_config = ConfigDict(extra="allow")
@@ -85,14 +85,14 @@ class Summary(Told):
         return self
 
 
-class ToldDevice(Told):
+class DeviceRecord(UntrustedRecord):
     """What an edge says of a device in its region."""
 
-    frame: ToldFrame
+    frame: FrameRecord
     summary: Summary
 
 
-class _Nothing(Told):
+class _Nothing(UntrustedRecord):
     pass
 
 
@@ -100,19 +100,19 @@ class _Nothing(Told):
 class OpenedReport:
     """See `DevicesReport`."""
 
-    found: dict[str, Any]
-    """Device → what it sent, as its type: a number, a `Raster`, a `ToldDevice` or `Scores`."""
+    records: dict[str, Any]
+    """Device → what it sent, as its type: a number, a `Raster`, a `DeviceRecord` or `Scores`."""
     missing: dict[str, str]
 
 
 def check_result(kind: str, folder: Path, names: Collection[str]) -> None:
     """Raise BadInput unless the small files of a result say what its kind says."""
     checks: dict[str, Callable[[Path, Collection[str]], object]] = {
-        "count": lambda place, _: check_count(_read(place / "count.json")),
-        "raster": lambda place, _: raster_of(_read(place / "raster.json"), task_setting(place, "frames")),
+        "count": lambda place, _: check_count(_read_bounded(place / "count.json")),
+        "raster": lambda place, _: raster_of(_read_bounded(place / "raster.json"), task_setting(place, "frames")),
         "own_field": _check_model,
         "region": _check_region,
-        "score": lambda place, _: check_scores(_read(place / "scores.json")),
+        "score": lambda place, _: check_scores(_read_bounded(place / "scores.json")),
     }
     if kind in checks:
         _checked(f"a file of {kind} is none", lambda: checks[kind](folder, names))
@@ -125,14 +125,14 @@ def check_result(kind: str, folder: Path, names: Collection[str]) -> None:
 def settle_notes(folder: Path, stage: str) -> None:
     """Keep of a stranger's notes what may be heard: bounded, as those of its own stage, in texts
     without control characters. BadInput where they are none."""
-    found = read_notes(folder, stage)
-    if len(found) > MAX_NOTES:
-        raise BadInput(f"it notes {len(found):,} decisions and warnings, expected at most {MAX_NOTES:,}: {WRONG}.")
+    notes = read_notes(folder, stage)
+    if len(notes) > MAX_NOTES:
+        raise BadInput(f"it notes {len(notes):,} decisions and warnings, expected at most {MAX_NOTES:,}: {WRONG}.")
     decisions, warnings = list[dict[str, Any]](), list[str]()
-    for event in found:
+    for event in notes:
         if isinstance(event, Decided):
-            said = asdict(replace(event.decision, stage=stage))
-            decisions.append({name: plain_text(value) if isinstance(value, str) else value for name, value in said.items()})
+            decision = asdict(replace(event.decision, stage=stage))
+            decisions.append({name: plain_text(value) if isinstance(value, str) else value for name, value in decision.items()})
         elif isinstance(event, Warned):
             warnings.append(plain_text(event.message))
     write_json(folder / NOTES_NAME, {"decisions": decisions, "warnings": warnings})
@@ -140,7 +140,7 @@ def settle_notes(folder: Path, stage: str) -> None:
 
 def load_report(folder: Path) -> DevicesReport:
     """The report of an edge, in which nothing of a device was parsed; BadInput where it is none."""
-    record = _read(folder / REPORT_NAME)
+    record = _read_bounded(folder / REPORT_NAME)
     if not isinstance(record, dict):
         raise BadInput(f"{REPORT_NAME} is no object: {WRONG}.")
     report = message_of(DevicesReport, record, REPORT_NAME)
@@ -153,18 +153,18 @@ def open_report(kind: str, folder: Path, frames: str | None = None) -> OpenedRep
     parse: dict[str, Callable[[Any], Any]] = {
         "edge_count": count_of,
         "edge_raster": lambda record: raster_of(record, frames),
-        "region": lambda record: parse_record(ToldDevice, record, "a device's model"),
+        "region": lambda record: parse_record(DeviceRecord, record, "a device's model"),
         "edge_refine": lambda record: parse_record(_Nothing, record, "a refinement"),
         "edge_score": scores_of,
     }
     report = load_report(folder)
-    found, missing = dict[str, Any](), dict(report.missing)
+    records, missing = dict[str, Any](), dict(report.missing)
     for device, record in report.found.items():
         try:
-            found[device] = parse[kind](record)
+            records[device] = parse[kind](record)
         except BadInput as error:
             missing[device] = str(error)
-    return OpenedReport(found=found, missing=missing)
+    return OpenedReport(records=records, missing=missing)
 
 
 def check_count(record: Any) -> int:
@@ -182,9 +182,9 @@ def check_scores(record: Any) -> Scores:
     return scores_of(record)
 
 
-def check_frame(frame: Any) -> ToldFrame:
+def check_frame(frame: Any) -> FrameRecord:
     """How a device's frame is known, or why there is no model; BadInput where this says neither."""
-    return parse_record(ToldFrame, frame, FRAME_NAME)
+    return parse_record(FrameRecord, frame, FRAME_NAME)
 
 
 def check_summary(record: Any) -> Summary:
@@ -192,15 +192,15 @@ def check_summary(record: Any) -> Summary:
     return parse_record(Summary, record, SUMMARY_NAME)
 
 
-def _read(path: Path) -> Any:
+def _read_bounded(path: Path) -> Any:
     return read_json(path, max_bytes=MAX_SMALL_BYTES)
 
 
 def _check_model(folder: Path, names: Collection[str]) -> None:
     """A device's frame and figures; with a place in the common frame the model that is said."""
-    frame = check_frame(_read(folder / FRAME_NAME))
+    frame = check_frame(_read_bounded(folder / FRAME_NAME))
     load_uncertainty(folder)
-    check_summary(_read(folder / SUMMARY_NAME))
+    check_summary(_read_bounded(folder / SUMMARY_NAME))
     if frame.status == "placed" and not {MODEL_NAME, CAMERAS_NAME, RECORD_NAME, SIGNATURE_NAME} <= {*names}:
         raise BadInput(f"a device says that it has a model and sends none: {WRONG}.")
 
@@ -214,9 +214,9 @@ def _check_region(folder: Path, names: Collection[str]) -> None:
     needed = {FRAME_NAME, SUMMARY_NAME, CORRECTIONS_NAME, REFUSED_NAME, NOTES_NAME}
     if not needed <= {*names}:
         raise BadInput(f"an edge joined and sends no {sorted(needed - {*names})[0]}: {WRONG}.")
-    frame = check_frame(_read(folder / FRAME_NAME))
+    frame = check_frame(_read_bounded(folder / FRAME_NAME))
     load_uncertainty(folder)
-    check_summary(_read(folder / SUMMARY_NAME))
+    check_summary(_read_bounded(folder / SUMMARY_NAME))
     moves = load_corrections(folder)
     _require_devices(folder, moves, CORRECTIONS_NAME)
     if frame.status == "placed" and not {MODEL_NAME, RECORD_NAME, SIGNATURE_NAME} <= {*names}:
@@ -227,19 +227,19 @@ def _check_region(folder: Path, names: Collection[str]) -> None:
 
 def _settle_refused(folder: Path) -> None:
     """Keep the reasons without control characters."""
-    reasons = _reasons(_read(folder / REFUSED_NAME), REFUSED_NAME)
+    reasons = _reasons(_read_bounded(folder / REFUSED_NAME), REFUSED_NAME)
     _require_devices(folder, reasons, REFUSED_NAME)
     write_json(folder / REFUSED_NAME, reasons)
 
 
 def _require_devices(folder: Path, named: Collection[str], name: str) -> None:
     """Raise BadInput where an edge speaks of a device that the task beside it does not name."""
-    asked = task_setting(folder, "devices")
-    if isinstance(asked, list) and (strange := sorted({*named} - {*asked})):
+    requested = task_setting(folder, "devices")
+    if isinstance(requested, list) and (strange := sorted({*named} - {*requested})):
         raise BadInput(f"{name} speaks of the device {strange[0][:80]!r}, which is none of this edge: {WRONG}.")
 
 
-class _Reasons(Told):
+class _Reasons(UntrustedRecord):
     reasons: dict[str, Reason]
 
 
@@ -247,11 +247,11 @@ def _reasons(record: Mapping[str, Any] | Any, name: str) -> dict[str, str]:
     return dict(parse_record(_Reasons, {"reasons": record}, name).reasons)
 
 
-def _checked(what: str, check: Callable[[], object]) -> None:
+def _checked(subject: str, check: Callable[[], object]) -> None:
     """Call a check; what a stranger's file makes our readers raise is bad input."""
     try:
         check()
     except BadInput:
         raise
     except (ValidationError, KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise BadInput(f"{what} ({type(error).__name__}): {WRONG}.") from error
+        raise BadInput(f"{subject} ({type(error).__name__}): {WRONG}.") from error

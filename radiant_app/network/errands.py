@@ -24,7 +24,7 @@ from radiant_app.network.home import Home, Invitation
 from radiant_app.network.kinds import remove_earlier, task_problem
 from radiant_app.network.line import Withdrawn
 from radiant_app.network.reception import MAX_EVENT_CHARS, MAX_EVENTS, Ended, plain_text
-from radiant_app.strangers import Told, parse_record
+from radiant_app.strangers import UntrustedRecord, parse_record
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, disk_is_full, read_json, write_json
@@ -39,7 +39,7 @@ MAX_EVENT_BYTES = 1 << 20
 """Of all events of one poll, as JSON has them."""
 
 
-class Verdict(Told):
+class Verdict(UntrustedRecord):
     """What became of the task that a node works on."""
 
     state: str = Field(max_length=32)
@@ -47,7 +47,7 @@ class Verdict(Told):
     tries: int = Field(default=1, ge=0, le=MAX_COUNTER)
 
 
-class Offer(Told):
+class Offer(UntrustedRecord):
     """A task to do: its envelope and signature, in base 64."""
 
     text: str
@@ -57,7 +57,7 @@ class Offer(Told):
     """Whether what was made before is not wanted."""
 
 
-class PollAnswer(Told):
+class PollAnswer(UntrustedRecord):
     """What the node above answers to a poll."""
 
     verdict: Verdict | None = None
@@ -146,8 +146,8 @@ class _Errand:
     work: Work | None = None
     outcome: Outcome | None = None
     sent: bool = False
-    told: bool = False
-    """Whether its failure was told."""
+    failure_sent: bool = False
+    """Whether its failure was sent to the node above."""
 
 
 @dataclass(kw_only=True)
@@ -190,7 +190,7 @@ class Errands:
         self.sending = []
         verdict, current = answer.verdict, self.current
         if current is not None and verdict is not None:
-            current.told = current.told or (current.outcome is not None and current.outcome.error is not None)
+            current.failure_sent = current.failure_sent or (current.outcome is not None and current.outcome.error is not None)
             # A hub that lost what it had, by a power cut or an old copy, asks once more.
             current.sent = current.sent and verdict.state not in ("offered", "taken")
             if verdict.state in ("accepted", "refused", "withdrawn"):
@@ -206,7 +206,7 @@ class Errands:
     def _poll_body(self) -> dict[str, Any]:
         current = self.current
         ended = None
-        if current is not None and current.outcome is not None and current.outcome.error is not None and not current.told:
+        if current is not None and current.outcome is not None and current.outcome.error is not None and not current.failure_sent:
             error = current.outcome.error
             ended = Ended(
                 message=str(error)[:MAX_EVENT_CHARS],
@@ -249,7 +249,7 @@ class Errands:
         self.current = errand = _Errand(envelope=envelope, digest=envelope.digest, tries=tries)
         try:
             require_own(self.home, envelope)
-            note_asked(self.home, envelope)
+            note_task(self.home, envelope)
             folder = self.performer.place(envelope)
             if shutil.disk_usage(self.home.folder).free < envelope.num_bytes + SPARE_BYTES:
                 raise CannotWrite(f"the disk of this node is full: {envelope.num_bytes + SPARE_BYTES:,} bytes are needed there.")
@@ -283,12 +283,12 @@ class Errands:
             except Withdrawn:
                 self._drop()
             except (RadiantError, OSError) as error:
-                found = error if isinstance(error, RadiantError) else StageFailed(f"{error.strerror or type(error).__name__}")
-                errand.outcome = Outcome(error=found)
+                failure = error if isinstance(error, RadiantError) else StageFailed(f"{error.strerror or type(error).__name__}")
+                errand.outcome = Outcome(error=failure)
 
     def _send(self, errand: _Errand, paths: Mapping[str, Path]) -> None:
-        asked = errand.envelope
-        result = asked.result(describe_files(paths), __version__)
+        envelope = errand.envelope
+        result = envelope.result(describe_files(paths), __version__)
         keep_result(self.home, result, paths)
         self.line.send(result, paths)
         errand.sent = True
@@ -303,7 +303,7 @@ class Errands:
                 continue
             if isinstance(event, StageProgress):
                 start = encode(event).split('"done"')[0]
-                self.waiting = [other for other in self.waiting if not other.startswith(start)]
+                self.waiting = [waiting_line for waiting_line in self.waiting if not waiting_line.startswith(start)]
             self.waiting.append(line)
 
     def _say_verdict(self, errand: _Errand, state: str, reason: str) -> None:
@@ -331,19 +331,19 @@ def require_own(home: Home, envelope: Envelope) -> None:
         raise BadInput(f"{upper.upper} has Radiant {envelope.software} and {upper.node} has {__version__}: install the same version.")
     if problem := task_problem(envelope.kind, envelope.files):
         raise BadInput(problem)
-    attempt, digest = _asked(home, envelope).get(envelope.stage, [0, ""])
+    attempt, digest = _noted_tasks(home, envelope).get(envelope.stage, [0, ""])
     if envelope.attempt < attempt or (envelope.attempt == attempt and envelope.digest != digest):
         raise BadInput(f"a task of {envelope.stage} is attempt {envelope.attempt}, and attempt {attempt} was taken before.")
 
 
-def note_asked(home: Home, envelope: Envelope) -> None:
+def note_task(home: Home, envelope: Envelope) -> None:
     """Remember a task, so that no older one of its stage is taken."""
     home.run_folder(envelope.run).mkdir(parents=True, exist_ok=True)
-    asked = {**_asked(home, envelope), envelope.stage: [envelope.attempt, envelope.digest]}
-    write_json(home.run_folder(envelope.run) / ASKED_NAME, asked)
+    tasks = {**_noted_tasks(home, envelope), envelope.stage: [envelope.attempt, envelope.digest]}
+    write_json(home.run_folder(envelope.run) / ASKED_NAME, tasks)
 
 
-def _asked(home: Home, envelope: Envelope) -> dict[str, Any]:
+def _noted_tasks(home: Home, envelope: Envelope) -> dict[str, Any]:
     path = home.run_folder(envelope.run) / ASKED_NAME
     return read_json(path) if path.is_file() else {}
 

@@ -42,7 +42,7 @@ from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_app.network.contents import check_result, settle_notes
 from radiant_app.network.hub import Hub
 from radiant_app.network.kinds import NOTES_NAME
-from radiant_app.network.reception import Ended, Said, plain_text
+from radiant_app.network.reception import Ended, NodeMessage, plain_text
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 from radiant_core.io.run_store import seal, write_json
@@ -148,14 +148,14 @@ class _Machines:
         if not self.executor.is_far(node):
             return self.local.start(node, task)
         name = machine_of(node.id)
-        known = self.executor.hub.offer(self.executor.run, name, task.kind, task.stage, task.folder)
+        offered = self.executor.hub.offer(self.executor.run, name, task.kind, task.stage, task.folder)
         self.far[node.id] = _Far(
-            task=task, digest=known.digest, node=name, heard=self.executor.hub.heard_of.get(name, 0), alive_s=self.executor.clock()
+            task=task, digest=offered.digest, node=name, heard=self.executor.hub.heard_of.get(name, 0), alive_s=self.executor.clock()
         )
-        if known.state in ("taken", "received") and task.kind not in FOLDING:
+        if offered.state in ("taken", "received") and task.kind not in FOLDING:
             self._mark_started(node.id)
-        if known.state == "received":
-            self.executor.hub.said.put(Said(digest=known.digest, received=True))
+        if offered.state == "received":
+            self.executor.hub.messages.put(NodeMessage(digest=offered.digest, received=True))
         return False
 
     def wait(self, timeout_s: float) -> tuple[str, Event | NodeStarted | NodeEnded | None] | None:
@@ -176,23 +176,23 @@ class _Machines:
                 time.sleep(min(CHECK_S, left_s))
 
     def _listen_to_nodes(self) -> None:
-        while not self.executor.hub.said.empty():
-            said = self.executor.hub.said.get()
-            found = next(((node_id, far) for node_id, far in self.far.items() if far.digest == said.digest), None)
-            if found is None:
+        while not self.executor.hub.messages.empty():
+            message = self.executor.hub.messages.get()
+            addressed = next(((node_id, far) for node_id, far in self.far.items() if far.digest == message.digest), None)
+            if addressed is None:
                 continue
-            node_id, far = found
-            if said.taken and far.task.kind not in FOLDING:
+            node_id, far = addressed
+            if message.is_taken and far.task.kind not in FOLDING:
                 self._mark_started(node_id)
-            for event in self._heard(far, said.events):
+            for event in self._heard(far, message.events):
                 if isinstance(event, StageStarted) and event.stage == far.task.stage:
                     self._mark_started(node_id)
                 else:
                     self.ready.append((node_id, event))
-            if said.received:
+            if message.received:
                 self._end(node_id, self._take(far))
-            elif said.ended is not None:
-                self._end(node_id, ended_of(far.task.stage, said.ended))
+            elif message.ended is not None:
+                self._end(node_id, ended_of(far.task.stage, message.ended))
 
     def _heard(self, far: _Far, lines: Collection[str]) -> list[Event]:
         """What a node says of its task, as far as it may be heard."""
@@ -203,8 +203,8 @@ class _Machines:
             if not isinstance(event, Warned | Decided) or far.num_said <= MAX_SAYINGS:
                 events.append(event)
             elif far.num_said == MAX_SAYINGS + 1:
-                said = f"{far.node} warns of and decides more than {MAX_SAYINGS:,} things: the rest is left out."
-                events.append(Warned(stage=far.task.stage, message=said))
+                warning = f"{far.node} warns of and decides more than {MAX_SAYINGS:,} things: the rest is left out."
+                events.append(Warned(stage=far.task.stage, message=warning))
         return events
 
     def _take(self, far: _Far) -> NodeEnded:
@@ -246,8 +246,8 @@ class _Machines:
             return
         self.looked_s = now_s
         for node_id, far in list(self.far.items()):
-            found = self.executor.hub.store.task(far.digest)
-            if found is not None and found.state == "received":
+            hub_task = self.executor.hub.store.task(far.digest)
+            if hub_task is not None and hub_task.state == "received":
                 self._end(node_id, self._take(far))
 
     def _check_leases(self) -> None:
@@ -295,8 +295,8 @@ def ended_of(stage: str, ended: Ended) -> NodeEnded:
     """How a node ended that said so."""
     kinds: dict[bool, type[RadiantError]] = {True: BadInput, False: StageFailed}
     error = CannotWrite if ended.cannot_write else kinds[ended.exit_code == BadInput.exit_code]
-    found: Any = error(f"{stage}: {ended.message.removeprefix(f'{stage}: ')}")
-    return NodeEnded(error=found, crashed=ended.crashed)
+    failure: Any = error(f"{stage}: {ended.message.removeprefix(f'{stage}: ')}")
+    return NodeEnded(error=failure, crashed=ended.crashed)
 
 
 def admit_event(line: str, node: str, begun: set[str], devices: Collection[str] | None = None) -> list[Event]:
@@ -334,10 +334,10 @@ def _is_own(stage: str, node: str, devices: Collection[str] | None) -> bool:
     """Whether a node may speak of a stage: of its own work, or an edge of that of its devices."""
     if stage.startswith(node) and _PART.fullmatch(stage.removeprefix(node)):
         return True
-    found = re.match(r"devices/([A-Za-z0-9][A-Za-z0-9_-]{0,63})", stage)
-    if found is None or not node.startswith("edges/") or not _PART.fullmatch(stage[found.end() :]):
+    match = re.match(r"devices/([A-Za-z0-9][A-Za-z0-9_-]{0,63})", stage)
+    if match is None or not node.startswith("edges/") or not _PART.fullmatch(stage[match.end() :]):
         return False
-    return devices is None or found[1] in devices
+    return devices is None or match[1] in devices
 
 
 def _plain_event(event: Event) -> Event:
@@ -349,5 +349,5 @@ def _plain_event(event: Event) -> Event:
 
 
 def _plain_texts(record: Any) -> dict[str, Any]:
-    values = {each.name: getattr(record, each.name) for each in fields(record)}
+    values = {text_field.name: getattr(record, text_field.name) for text_field in fields(record)}
     return {name: plain_text(value) for name, value in values.items() if isinstance(value, str)}

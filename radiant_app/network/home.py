@@ -36,7 +36,7 @@ MAX_JOIN_BYTES = 16384
 RESERVED = 1024
 """Counters that are taken from the file at once."""
 TOKEN_BYTES = 32
-SHOWN = ("url", "node", "upper")
+PRINTED_FIELDS = ("url", "node", "upper")
 """Of a join file, what a terminal shows, and whoever follows it agrees to."""
 Identity = Literal["pinned", "signed"]
 """pinned: TLS to the upper node's own key; signed: TLS to whoever the system trusts, such as a
@@ -180,8 +180,8 @@ def make_home(folder: Path, listening: Listening | None) -> Home:
     home = Home(folder=folder)
     make_private_folder(folder)
     make_signing_key(home.identity)
-    known = read_json(folder / NODE_NAME).get("listening") if (folder / NODE_NAME).is_file() else None
-    write_json(folder / NODE_NAME, {"listening": known if listening is None else asdict(listening)})
+    stored = read_json(folder / NODE_NAME).get("listening") if (folder / NODE_NAME).is_file() else None
+    write_json(folder / NODE_NAME, {"listening": stored if listening is None else asdict(listening)})
     return home
 
 
@@ -227,8 +227,8 @@ def accept_invitation(home: Home, file: Path) -> Invitation:
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{file} is no join file ({error}): ask for one by `radiant node invite`.") from error
     invitation = _invitation(record, file)
-    if (home.folder / UPPER_NAME).is_file() and (known := home.upper).node != invitation.node:
-        raise BadInput(f"this machine is {known.node} already and the file invites {invitation.node}: make another home for that one.")
+    if (home.folder / UPPER_NAME).is_file() and (upper := home.upper).node != invitation.node:
+        raise BadInput(f"this machine is {upper.node} already and the file invites {invitation.node}: make another home for that one.")
     write_json(home.folder / UPPER_NAME, record)
     return invitation
 
@@ -239,7 +239,7 @@ def _invitation(record: Any, path: Path) -> Invitation:
         raise BadInput(f"{path} is no join file: ask for one by `radiant node invite`.")
     if not all(isinstance(record[name], str) for name in names):
         raise BadInput(f"{path} is no join file: ask for one by `radiant node invite`.")
-    if not all(record[name].isprintable() for name in SHOWN):
+    if not all(record[name].isprintable() for name in PRINTED_FIELDS):
         raise BadInput(f"{path} has characters that cannot be printed in what it names: ask for another by `radiant node invite`.")
     try:
         return Invitation(**{name: record[name] for name in names})

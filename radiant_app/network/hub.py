@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from radiant_app.network.arrivals import INCOMING, Arrivals
 from radiant_app.network.home import Home, Listening
 from radiant_app.network.kinds import RESULT_FILES, task_files, task_problem
-from radiant_app.network.reception import Reception, Said
+from radiant_app.network.reception import NodeMessage, Reception
 from radiant_app.network.serving import serve
 from radiant_app.network.store import HubStore, KnownTask, open_store
 from radiant_core import __version__
@@ -24,7 +24,7 @@ from radiant_core.io.transport.envelope import Envelope, open_envelope, sign_env
 
 POLL_S = 2.0
 """How long nodes wait between two polls."""
-MAX_SAID = 200
+MAX_MESSAGES = 200
 """While nobody reads, members could fill the memory with events: these are progress alone."""
 
 
@@ -36,17 +36,17 @@ class Hub:
     store: HubStore
     arrivals: Arrivals
     port: int = 0
-    said: queue.Queue[Said] = field(default_factory=queue.Queue)
+    messages: queue.Queue[NodeMessage] = field(default_factory=queue.Queue)
     """What nodes say of their tasks."""
     heard_of: Mapping[str, int] = field(default_factory=dict)
     """Node → how many requests it made of this process."""
 
-    def hear(self, said: Said) -> None:
-        """Keep what a node says until it is read; of events no more than `MAX_SAID` sayings."""
-        if self.said.qsize() >= MAX_SAID:
-            said = replace(said, events=())
-        if said != Said(digest=said.digest):
-            self.said.put(said)
+    def hear(self, message: NodeMessage) -> None:
+        """Keep what a node says until it is read; of events no more than `MAX_MESSAGES`."""
+        if self.messages.qsize() >= MAX_MESSAGES:
+            message = replace(message, events=())
+        if message != NodeMessage(digest=message.digest):
+            self.messages.put(message)
 
     def public_key(self, node: str) -> bytes:
         """The key of a node that joined, in PEM; BadInput where it has not."""
@@ -63,8 +63,8 @@ class Hub:
         attempt, last = 1, self.store.newest_attempt(run, node, stage)
         if last is not None:
             before = open_envelope(last.text, last.signature, self.home.key.public_key())
-            same = (before.files, before.kind, before.software) == (files, kind, __version__)
-            attempt = last.attempt if same else last.attempt + 1
+            is_same_task = (before.files, before.kind, before.software) == (files, kind, __version__)
+            attempt = last.attempt if is_same_task else last.attempt + 1
         envelope = Envelope(
             run=run,
             sender=self.home.node,
@@ -97,7 +97,7 @@ class Hub:
 
     def install(self, digest: str) -> Sequence[str]:
         """Move the files of a received result beside its task; their names."""
-        result, folder = self._result(digest), self._known(digest).folder
+        result, folder = self._result(digest), self._task(digest).folder
         files = RESULT_FILES[result.kind]
         for name in {*files.needed, *files.possible} - {*result.files}:
             # Of an earlier attempt, which had it.
@@ -127,13 +127,13 @@ class Hub:
         """A stage is sealed: what was received for it is taken, also if a process ended between."""
         self.store.settle_stage(run, stage)
 
-    def _known(self, digest: str) -> KnownTask:
+    def _task(self, digest: str) -> KnownTask:
         task = self.store.task(digest)
         assert task is not None
         return task
 
     def _result(self, digest: str) -> Envelope:
-        task = self._known(digest)
+        task = self._task(digest)
         result, member = self.store.result(digest), self.store.member(task.node)
         assert result is not None
         if member is None or member.key is None or member.revoked:

@@ -30,7 +30,7 @@ from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 NOTES_NAME, REPORT_NAME = "notes.json", "report.json"
 MAX_SMALL_BYTES = 64 << 20
 """Most bytes of a file that is no model and no scene."""
-_GIVEN = (f"given/{RECORD_NAME}", f"given/{SIGNATURE_NAME}")
+_SIGNATURE_FROM_ABOVE = (f"given/{RECORD_NAME}", f"given/{SIGNATURE_NAME}")
 _SIGNED = (RECORD_NAME, SIGNATURE_NAME)
 _LARGE = {MODEL_NAME, CAMERAS_NAME, VIRTUAL_CAMERAS, REFINED_NAME, ROWS_NAME, "scene.ply"}
 
@@ -54,10 +54,10 @@ class Files:
 TASK_FILES: Mapping[str, Files] = {
     "count": Files(needed=(TASK_NAME,)),
     "raster": Files(needed=(TASK_NAME,)),
-    "own_field": Files(needed=(TASK_NAME, *_GIVEN)),
-    "refine": Files(needed=(TASK_NAME, "scene.ply", *_GIVEN)),
+    "own_field": Files(needed=(TASK_NAME, *_SIGNATURE_FROM_ABOVE)),
+    "refine": Files(needed=(TASK_NAME, "scene.ply", *_SIGNATURE_FROM_ABOVE)),
     "score": Files(
-        needed=(TASK_NAME, "inbox/scene.ply", "inbox/plan.json", *_GIVEN),
+        needed=(TASK_NAME, "inbox/scene.ply", "inbox/plan.json", *_SIGNATURE_FROM_ABOVE),
         possible=("inbox/joined.ply", "inbox/cut.ply", "inbox/lpips.safetensors"),
     ),
     "edge_count": Files(needed=(TASK_NAME,)),

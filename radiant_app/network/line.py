@@ -29,7 +29,7 @@ from radiant_app.network.certificate import pinned_context
 from radiant_app.network.home import Home, Invitation
 from radiant_app.network.reception import BODY, COUNTER, GONE, JOIN, NODE, OFFSET, REPLY, SEAL
 from radiant_app.plain_text import plain_text
-from radiant_app.strangers import Told, parse_record
+from radiant_app.strangers import UntrustedRecord, parse_record
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import content_key, parse_json, read_json, write_json
@@ -67,10 +67,10 @@ class Answer:
     def record(self) -> dict[str, Any]:
         """The body as JSON's object; empty where it is none."""
         try:
-            found = parse_json(self.body)
+            content = parse_json(self.body)
         except (ValueError, RecursionError):
             return {}
-        return found if isinstance(found, dict) else {}
+        return content if isinstance(content, dict) else {}
 
     @property
     def reason(self) -> str:
@@ -78,7 +78,7 @@ class Answer:
         return plain_text(str(self.record.get("reason", f"it answered {self.status}."))[:1000])
 
 
-class _Offsets(Told):
+class _Offsets(UntrustedRecord):
     offsets: tuple[Annotated[int, Field(ge=0, le=MAX_FILE_BYTES)], ...]
 
 
@@ -156,7 +156,7 @@ class Line:
             client = self._client = self._client or self._connect()
             url = self.upper.url.rstrip("/") + target
             with client.stream(method, url, content=body, headers={**sealed, **(headers or {})}) as response:
-                status, found, content = response.status_code, dict(response.headers), b""
+                status, reply_headers, content = response.status_code, dict(response.headers), b""
                 for piece in response.iter_raw():
                     content += piece
                     if len(content) > MAX_ANSWER_BYTES:
@@ -165,13 +165,13 @@ class Line:
             self._trouble = f"{type(error).__name__}: {error}"[:200]
             self.close()
             return None
-        message = request.reply_message(seal, status, found.get(OFFSET.lower(), ""), content)
-        if not is_signed_by(self._upper_key, _decoded(found.get(REPLY, "")), message):
+        message = request.reply_message(seal, status, reply_headers.get(OFFSET.lower(), ""), content)
+        if not is_signed_by(self._upper_key, _decoded(reply_headers.get(REPLY, "")), message):
             # A proxy's own page, or the answer of somebody else.
             self._trouble = f"an answer {status} that is not signed by it"
             self.close()
             return None
-        return Answer(status=status, body=content, headers=found)
+        return Answer(status=status, body=content, headers=reply_headers)
 
     def _connect(self) -> httpx.Client:
         import httpx
@@ -216,9 +216,9 @@ class Line:
             if target.is_file() and target.stat().st_size == file.bytes and _sha256(target) == file.sha256:
                 continue
             part = target.with_name(f".{target.name}.{file.sha256[:16]}.part")
-            for other in target.parent.glob(f".{target.name}.*.part"):
-                if other != part:
-                    other.unlink()  # of a task that was replaced
+            for stale in target.parent.glob(f".{target.name}.*.part"):
+                if stale != part:
+                    stale.unlink()  # of a task that was replaced
             self._fetch_file(f"/tasks/{digest}/{number}", part, file)
             part.replace(target)
 
@@ -242,7 +242,7 @@ class Line:
             part.unlink()
         raise StageFailed("a file of the task has other bytes than were signed: it was replaced meanwhile.")
 
-    def send(self, result: Envelope, paths: Mapping[str, Path], sent: Callable[[int, int], None] = lambda done, total: None) -> None:
+    def send(self, result: Envelope, paths: Mapping[str, Path], sent: Callable[[int, int], None] = lambda num_done, total: None) -> None:
         """Announce a result and send its files, each from where the other side has it.
 
         Args:
@@ -261,7 +261,7 @@ class Line:
             if len(offsets) != len(files):
                 raise BadInput("the answer to an announcement is none: use the same version of the software on both sides.")
             for number, (name, file) in enumerate(files):
-                before = sum(each.bytes for _, each in files[:number])
+                before = sum(file_of_list.bytes for _, file_of_list in files[:number])
                 self._send_file(f"/results/{result.answers}/{number}", paths[name], offsets[number], file.bytes)
                 sent(before + file.bytes, result.num_bytes)
             # What arrived with other bytes was dropped there, and is sent once more.
@@ -324,10 +324,10 @@ def join_body(home: Home) -> bytes:
 
 def _offset_in(answer: Answer) -> int:
     """Where a file goes on, as a signed answer says; BadInput where it says no such thing."""
-    found = answer.headers.get(OFFSET.lower(), "")
-    if answer.status not in (200, 409) or not re.fullmatch(r"[0-9]{1,15}", found):
+    offset = answer.headers.get(OFFSET.lower(), "")
+    if answer.status not in (200, 409) or not re.fullmatch(r"[0-9]{1,15}", offset):
         raise BadInput(f"a part of a result is refused: {answer.reason}")
-    return int(found)
+    return int(offset)
 
 
 def _accepted(answer: Answer) -> dict[str, Any]:

@@ -131,14 +131,14 @@ def copy_listed(source: Path, target: Path, file: SentFile) -> None:
     if not source.is_file():
         raise BadInput(f"{source} is not there any more: run again what makes it, then pack it.")
     target.parent.mkdir(parents=True, exist_ok=True)
-    digest, left = hashlib.sha256(), file.bytes
-    with atomic_path(target) as temporary, temporary.open("xb") as out, open(source, "rb", opener=open_without_waiting) as read:
-        while left and (piece := read.read(min(_PIECE, left))):
+    digest, num_left = hashlib.sha256(), file.bytes
+    with atomic_path(target) as temporary, temporary.open("xb") as out, open(source, "rb", opener=open_without_waiting) as original:
+        while num_left and (piece := original.read(min(_PIECE, num_left))):
             out.write(piece)
             digest.update(piece)
-            left -= len(piece)
+            num_left -= len(piece)
         out.flush()
-        if left or read.read(1) or digest.hexdigest() != file.sha256:
+        if num_left or original.read(1) or digest.hexdigest() != file.sha256:
             raise BadInput(f"{source} has other bytes than the list says: it changed meanwhile, pack it again.")
 
 

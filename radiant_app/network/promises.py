@@ -78,37 +78,39 @@ class Promises:
     def forget_all_but(self, tasks: Sequence[Arriving]) -> None:
         """Only these are arriving."""
         with self._lock:
-            for task in {*self._alive} - {each.task for each in tasks}:
+            for task in {*self._alive} - {result.task for result in tasks}:
                 del self._alive[task]
 
-    def beside(self, task: str, member: str, arriving: Sequence[Arriving], free_bytes: int) -> int:
+    def reserved_bytes(self, task: str, member: str, arriving: Sequence[Arriving], free_bytes: int) -> int:
         """Bytes to leave free beside all that is missing of a result that is announced; other
         results of the same member count in full, which is its own concern."""
-        own = self._promised(member, [each for each in arriving if each.task != task])
-        return own + self._kept_for_others(member, arriving, free_bytes)
+        promised_bytes = self._promised(member, [result for result in arriving if result.task != task])
+        return promised_bytes + self._kept_for_others(member, arriving, free_bytes)
 
     def may_grow(self, task: str, num_bytes: int, arriving: Sequence[Arriving], free_bytes: int) -> bool:
         """Whether a result may take so many bytes more: it, and those that are alive, can be
         finished one after another from what is then free."""
         grown = [
-            each.grown(num_bytes) if each.task == task else each for each in arriving if each.task == task or self._is_alive(each.task)
+            result.grown(num_bytes) if result.task == task else result
+            for result in arriving
+            if result.task == task or self._is_alive(result.task)
         ]
         free_bytes -= num_bytes
-        for each in sorted(grown, key=lambda result: result.missing_bytes):
-            if each.missing_bytes > free_bytes:
+        for result in sorted(grown, key=lambda result: result.missing_bytes):
+            if result.missing_bytes > free_bytes:
                 return False
-            if each.task == task:
+            if result.task == task:
                 return True
-            free_bytes += each.arrived_bytes
+            free_bytes += result.arrived_bytes
         return free_bytes >= 0
 
     def _kept_for_others(self, member: str, arriving: Sequence[Arriving], free_bytes: int) -> int:
         share = _share(member, arriving, free_bytes)
-        others = {each.member for each in arriving} - {member}
-        return sum(min(self._promised(other, arriving), max(0, share - _arrived(other, arriving))) for other in others)
+        others = {result.member for result in arriving} - {member}
+        return sum(min(self._promised(other_member, arriving), max(0, share - _arrived(other_member, arriving))) for other_member in others)
 
     def _promised(self, member: str, arriving: Sequence[Arriving]) -> int:
-        return sum(each.missing_bytes for each in arriving if each.member == member and self._is_alive(each.task))
+        return sum(result.missing_bytes for result in arriving if result.member == member and self._is_alive(result.task))
 
     def _is_alive(self, task: str) -> bool:
         with self._lock:
@@ -118,9 +120,9 @@ class Promises:
 
 def _share(member: str, arriving: Sequence[Arriving], free_bytes: int) -> int:
     """Bytes of the disk that each member may count on, this one among them."""
-    members = {member} | {each.member for each in arriving}
-    return (free_bytes + sum(each.arrived_bytes for each in arriving)) // len(members)
+    members = {member} | {result.member for result in arriving}
+    return (free_bytes + sum(result.arrived_bytes for result in arriving)) // len(members)
 
 
 def _arrived(member: str, arriving: Sequence[Arriving]) -> int:
-    return sum(each.arrived_bytes for each in arriving if each.member == member)
+    return sum(result.arrived_bytes for result in arriving if result.member == member)

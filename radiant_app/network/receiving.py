@@ -17,7 +17,7 @@ from pathlib import Path
 from radiant_app.network.arrivals import INCOMING, PART_BYTES, Arrivals, DiskFull
 from radiant_app.network.home import Home
 from radiant_app.network.packs import Pack, open_pack, write_pack
-from radiant_app.network.reception import DONE, JOIN, Asked, Reception, Refused
+from radiant_app.network.reception import JOIN, RECEIVED_STATES, HttpRequest, Reception, Refused
 from radiant_app.network.store import HubStore, open_store
 from radiant_core.errors import BadInput, CannotWrite
 from radiant_core.io.run_store import parse_json
@@ -45,10 +45,10 @@ class Desk:
 
     def take_join(self, headers: dict[str, str], body: bytes) -> str:
         """Register the key of a node by its sealed request; BadInput where that is refused."""
-        asked = Asked(method="POST", target=JOIN, headers=headers)
-        reply = self.reception.admit(asked)
+        http_request = HttpRequest(method="POST", target=JOIN, headers=headers)
+        reply = self.reception.admit(http_request)
         if reply is None:
-            reply = self.reception.answer(Asked(method="POST", target=JOIN, headers=headers, body=body))
+            reply = self.reception.answer(HttpRequest(method="POST", target=JOIN, headers=headers, body=body))
         record = parse_json(reply.body)
         if reply.status != 200:
             raise BadInput(f"the request to join is refused: {record['reason']}")
@@ -74,24 +74,24 @@ class Desk:
         pack.check()
         envelope = pack.envelope
         try:
-            task = self.reception.own_task(envelope.sender, envelope.answers, DONE)
+            task = self.reception.own_task(envelope.sender, envelope.answers, RECEIVED_STATES)
             self.reception.announce(task, pack.signature + pack.text)
             for number, (name, file) in enumerate(sorted(envelope.files.items())):
-                with pack.files[name].open("rb") as read:
+                with pack.files[name].open("rb") as content:
                     _, offset, _ = self.reception.take_part(task, number, None)
                     while offset < file.bytes:
-                        read.seek(offset)
-                        taken, offset, _ = self.reception.take_part(task, number, (offset, read.read(PART_BYTES)))
-                        if not taken:
+                        content.seek(offset)
+                        fitted, offset, _ = self.reception.take_part(task, number, (offset, content.read(PART_BYTES)))
+                        if not fitted:
                             raise BadInput(f"{pack.folder} cannot be taken while the same result comes over the network: wait for that.")
         except Refused as refused:
             raise BadInput(f"the result of {envelope.stage} is refused: {refused.reason}") from None
         except DiskFull:
             raise CannotWrite(f"the disk of {self.home.folder} is full: {envelope.num_bytes:,} bytes are needed there.") from None
-        found = self.store.task(envelope.answers)
-        if found is None or found.state not in DONE:
+        received_task = self.store.task(envelope.answers)
+        if received_task is None or received_task.state not in RECEIVED_STATES:
             raise BadInput(f"{pack.folder} changed while it was read: pack it again.")
-        return f"the result of {envelope.stage}, {envelope.num_bytes:,} bytes, is {found.state}"
+        return f"the result of {envelope.stage}, {envelope.num_bytes:,} bytes, is {received_task.state}"
 
 
 @contextmanager

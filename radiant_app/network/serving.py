@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from radiant_app.network.certificate import server_context
 from radiant_app.network.home import Listening
-from radiant_app.network.reception import Asked, Reception, Reply
+from radiant_app.network.reception import HttpRequest, Reception, Reply
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.extras import require_extra
 
@@ -140,8 +140,8 @@ def _app(reception: Reception) -> Any:
     async def handle(request: Request) -> Response:
         query = request.scope["query_string"].decode("latin-1")
         target = request.scope["raw_path"].decode("latin-1") + (f"?{query}" if query else "")
-        asked = Asked(method=request.method, target=target, headers=dict(request.headers))
-        reply: Reply | None = await run_in_threadpool(reception.admit, asked)
+        http_request = HttpRequest(method=request.method, target=target, headers=dict(request.headers))
+        reply: Reply | None = await run_in_threadpool(reception.admit, http_request)
         if reply is not None:
             await _throw_away(request)
             return Response(reply.body, reply.status, {**reply.headers, "Connection": "close"})
@@ -150,7 +150,7 @@ def _app(reception: Reception) -> Any:
                 body = await request.body()
         except (TimeoutError, ClientDisconnect):
             return Response("the body of a request took too long, or was cut.", 408, {"Connection": "close"})
-        reply = await run_in_threadpool(reception.answer, replace(asked, body=body))
+        reply = await run_in_threadpool(reception.answer, replace(http_request, body=body))
         return Response(reply.body, reply.status, dict(reply.headers))
 
     return Starlette(routes=[Route("/{path:path}", handle, methods=["GET", "HEAD", "POST", "PATCH"])])

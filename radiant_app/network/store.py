@@ -209,9 +209,9 @@ class HubStore:
                 f"state = case when state in {_CLOSED} then 'offered' else state end",
                 (*self._key(task), task.text, task.signature, str(task.folder), time.time()),
             )
-        found = self.task(task.digest)
-        assert found is not None
-        return found
+        stored = self.task(task.digest)
+        assert stored is not None
+        return stored
 
     def _key(self, task: KnownTask) -> tuple[Any, ...]:
         return task.digest, task.run, task.node, task.stage, task.attempt

@@ -61,12 +61,12 @@ class DeviceWork:
     def heard(self) -> list[Event]:
         """See `Work`."""
         while self.processes.running and (message := self.processes.wait(0.0)) is not None:
-            _, said = message
-            if isinstance(said, NodeEnded):
-                error = said.error and type(said.error)(hide_places(str(said.error), self.places))
-                self.ended = Outcome(error=error, crashed=said.crashed)
-            elif said is not None:
-                self.events.append(hide_in_event(said, self.places))
+            _, event = message
+            if isinstance(event, NodeEnded):
+                error = event.error and type(event.error)(hide_places(str(event.error), self.places))
+                self.ended = Outcome(error=error, crashed=event.crashed)
+            elif event is not None:
+                self.events.append(hide_in_event(event, self.places))
         events, self.events = self.events, []
         return events
 
@@ -93,10 +93,10 @@ class DeviceWork:
 def hide_places(text: str, places: Iterable[Path]) -> str:
     """A text, or a line of JSON, without the names of these folders. A folder right below the root,
     such as /north, is no part of a longer word: devices/north is an id."""
-    for place in sorted({str(path) for own in places for path in (own, own.resolve())}, key=len, reverse=True):
+    for place in sorted({str(path) for folder in places for path in (folder, folder.resolve())}, key=len, reverse=True):
         for written in dict.fromkeys((place, json.dumps(place)[1:-1])):
             before = _NO_WORD if len(Path(place).parts) <= 2 else ""
-            text = re.sub(before + re.escape(written), lambda found: HIDDEN_PLACE, text)
+            text = re.sub(before + re.escape(written), lambda match: HIDDEN_PLACE, text)
     return text
 
 
@@ -109,7 +109,7 @@ def hide_in_event(event: Event, places: Iterable[Path]) -> Event:
 
 
 def _hidden_texts(record: Any, places: Iterable[Path]) -> dict[str, str]:
-    texts = {each.name: getattr(record, each.name) for each in fields(record) if each.name != "stage"}
+    texts = {text_field.name: getattr(record, text_field.name) for text_field in fields(record) if text_field.name != "stage"}
     return {name: hide_places(text, places) for name, text in texts.items() if isinstance(text, str)}
 
 

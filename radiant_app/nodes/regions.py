@@ -84,7 +84,7 @@ from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.timeline.prediction import planned_stages
 
-ASKED, TIMES_NAME = "asked", "times.json"
+REQUESTS, TIMES_NAME = "asked", "times.json"
 COUNTED = {"edge_count": ("count", "count.json"), "edge_raster": ("raster", "raster.json")}
 NOTHING_SENT = "nothing was heard of it in time, or it could not do what was asked; the messages of its edge say how."
 
@@ -119,14 +119,14 @@ class FarPhotographs:
     def fill(self, device: str, folder: Path, recipe: Recipe) -> tuple[OwnFieldTask, list[Path]]:
         """The task names no photograph."""
         settings = recipe.device_settings(device)
-        own = {each.name: getattr(settings, each.name) for each in fields(DeviceSettings)}
-        sfm = {each.name: getattr(self.task.sfm, each.name) for each in fields(self.task.sfm)}
+        device_settings = {field.name: getattr(settings, field.name) for field in fields(DeviceSettings)}
+        sfm = {field.name: getattr(self.task.sfm, field.name) for field in fields(self.task.sfm)}
         return OwnFieldTask(
             frames=self.task.frames,
             first_held_out=self.task.first_held_out[self.task.devices.index(device)],
             origin=self.task.origin,
             sfm=type(self.task.sfm)(**{**sfm, "memory_bytes": settings.memory_bytes}),
-            **own,
+            **device_settings,
         ), []
 
 
@@ -163,11 +163,11 @@ class EdgeRun:
             report, files = self._refine(task)
         else:
             report, files = self._score(task), {}
-        write_json(self._asked(kind) / REPORT_NAME, message_record(report))
-        return {REPORT_NAME: self._asked(kind) / REPORT_NAME, **files}
+        write_json(self._request_folder(kind) / REPORT_NAME, message_record(report))
+        return {REPORT_NAME: self._request_folder(kind) / REPORT_NAME, **files}
 
-    def _asked(self, kind: str) -> Path:
-        return self.folder / ASKED / kind
+    def _request_folder(self, kind: str) -> Path:
+        return self.folder / REQUESTS / kind
 
     def _executor(self, deadlines: Deadlines | None = None, *, joins: bool = False) -> NetworkExecutor:
         """`joins`: the edge's own part must not fail."""
@@ -187,44 +187,45 @@ class EdgeRun:
     @property
     def _expected_s(self) -> dict[str, float]:
         """Node → the plan's seconds; nothing before there is a plan."""
-        if not (self._asked("region") / PLAN_NAME).is_file():
+        folder = self._request_folder("region")
+        if not (folder / PLAN_NAME).is_file():
             return {}
         expected: dict[str, float] = {}
-        for row in planned_stages(load_system(self._asked("region") / SYSTEM_NAME), load_plan(self._asked("region") / PLAN_NAME)[1]):
+        for row in planned_stages(load_system(folder / SYSTEM_NAME), load_plan(folder / PLAN_NAME)[1]):
             expected[row.node] = expected.get(row.node, 0.0) + row.seconds
         return expected
 
     def _count(self, kind: str, task: EdgeCountTask | EdgeRasterTask) -> DevicesReport:
         """Let every device count."""
-        own, name = COUNTED[kind]
+        node_kind, name = COUNTED[kind]
         keys: dict[str, str] = {}
 
         def prepare(node: Tree) -> NodeTask | None:
             if node.tier != "device":
                 return None
-            asked: CountTask = CountTask(frames=task.frames)
+            device_task: CountTask = CountTask(frames=task.frames)
             if isinstance(task, EdgeRasterTask):
                 first = task.first_held_out[task.devices.index(node.id.split("/")[1])]
-                asked = RasterTask(frames=task.frames, cell_m=task.cell_m, first_held_out=first)
+                device_task = RasterTask(frames=task.frames, cell_m=task.cell_m, first_held_out=first)
             folder = self.folder / node.id
             folder.mkdir(parents=True, exist_ok=True)
-            save_task(folder, asked)
-            keys[node.id] = content_key(__version__, task_key(asked))
-            return NodeTask(kind=own, stage=node.id, folder=folder, key=keys[node.id])
+            save_task(folder, device_task)
+            keys[node.id] = content_key(__version__, task_key(device_task))
+            return NodeTask(kind=node_kind, stage=node.id, folder=folder, key=keys[node.id])
 
-        nodes = tuple(Tree(id=f"devices/{device}/{own}", tier="device") for device in task.devices)
-        self._executor().fold(Tree(id=own, tier="edge", children=nodes), prepare, self.emit)
-        done = [node.id.split("/")[1] for node in nodes if is_sealed(self.folder / node.id, keys[node.id])]
-        read: Mapping[str, Callable[[Any], Any]] = {"count": check_count, "raster": check_raster}
-        told = {device: read[own](read_json(self.folder / "devices" / device / own / name)) for device in done}
-        found = {device: one.record if isinstance(one, Raster) else {"num_photographs": one} for device, one in told.items()}
-        return DevicesReport(found=found, missing={device: NOTHING_SENT for device in task.devices if device not in found})
+        nodes = tuple(Tree(id=f"devices/{device}/{node_kind}", tier="device") for device in task.devices)
+        self._executor().fold(Tree(id=node_kind, tier="edge", children=nodes), prepare, self.emit)
+        finished = [node.id.split("/")[1] for node in nodes if is_sealed(self.folder / node.id, keys[node.id])]
+        readers: Mapping[str, Callable[[Any], Any]] = {"count": check_count, "raster": check_raster}
+        counts = {device: readers[node_kind](read_json(self.folder / "devices" / device / node_kind / name)) for device in finished}
+        records = {device: one.record if isinstance(one, Raster) else {"num_photographs": one} for device, one in counts.items()}
+        return DevicesReport(found=records, missing={device: NOTHING_SENT for device in task.devices if device not in records})
 
     def _dealer(self, task: RegionTask) -> Dealer:
-        asked = self._asked("region")
-        cloud, edges = load_plan(asked / PLAN_NAME)
+        request_folder = self._request_folder("region")
+        cloud, edges = load_plan(request_folder / PLAN_NAME)
         recipe = Recipe(
-            system=load_system(asked / SYSTEM_NAME),
+            system=load_system(request_folder / SYSTEM_NAME),
             cloud_plan=cloud,
             edge_plans=edges,
             train=task.train,
@@ -242,7 +243,7 @@ class EdgeRun:
     @cached_property
     def region(self) -> RegionTask:
         """The region of this run; BadInput before the cloud gave one."""
-        return load_task(RegionTask, self._asked("region"), "region task")
+        return load_task(RegionTask, self._request_folder("region"), "region task")
 
     def _exchange_keys(self) -> None:
         """Sign as this edge, and take what its devices sign with the keys that they joined by."""
@@ -269,9 +270,9 @@ class EdgeRun:
         )
         times = self._executor(listen, joins=True).fold(tree, dealer.prepare, listen)
         self._keep_times(times)
-        own = self.folder / self.edge
-        refused = read_json(own / REFUSED_NAME) if dealer.is_done(self.edge) else {}
-        found, missing = {}, {}
+        edge_folder = self.folder / self.edge
+        refused = read_json(edge_folder / REFUSED_NAME) if dealer.is_done(self.edge) else {}
+        records, missing = {}, {}
         for node in nodes:
             place = self.folder / node.id
             if not dealer.is_done(node.id):
@@ -280,7 +281,7 @@ class EdgeRun:
                 missing[node.name] = f"{self.edge} refused {node.name}: {refused[node.name]}"
             if dealer.is_done(node.id):
                 frame, summary = check_frame(read_json(place / FRAME_NAME)), check_summary(read_json(place / SUMMARY_NAME))
-                found[node.name] = {"frame": frame.model_dump(), "summary": summary.model_dump()}
+                records[node.name] = {"frame": frame.model_dump(), "summary": summary.model_dump()}
         for device, reason in refused.items():
             # The next time that this region is asked for, the device makes its model anew.
             self.hub.reject_stage(self.number, f"devices/{device}", reason)
@@ -289,32 +290,32 @@ class EdgeRun:
         if dealer.is_done(self.edge):
             names = [FRAME_NAME, SUMMARY_NAME, NOTES_NAME, CORRECTIONS_NAME, REFUSED_NAME]
             names += [RECORD_NAME, SIGNATURE_NAME] if dealer.has_model(self.edge) else []
-            files = {name: own / name for name in names} | (sent_files(own) if dealer.has_model(self.edge) else {})
-        return DevicesReport(found=found, missing=missing), files
+            files = {name: edge_folder / name for name in names} | (sent_files(edge_folder) if dealer.has_model(self.edge) else {})
+        return DevicesReport(found=records, missing=missing), files
 
     def _keep_times(self, times: Mapping[str, NodeTime]) -> None:
         """Remember how long nodes took; those that were skipped keep what they had."""
         path = self.folder / TIMES_NAME
-        known = read_json(path) if path.is_file() else {}
+        earlier = read_json(path) if path.is_file() else {}
         took = {node: {"started_s": time.started_s, "ended_s": time.ended_s} for node, time in times.items()}
-        write_json(path, {**known, **{node: span for node, span in took.items() if span["ended_s"] > span["started_s"]}})
+        write_json(path, {**earlier, **{node: span for node, span in took.items() if span["ended_s"] > span["started_s"]}})
 
     def _moves(self, to_cloud: Move) -> dict[str, list[Sim3]]:
         moved = load_corrections(self.folder / self.edge)
         return {device: [move, to_cloud.sim3] for device, move in moved.items() if move is not None}
 
-    def _own_devices(self, asked: Sequence[str], moves: Mapping[str, Any]) -> tuple[str, ...]:
+    def _own_devices(self, devices: Sequence[str], moves: Mapping[str, Any]) -> tuple[str, ...]:
         """The devices that the cloud names, all of which have to be in this edge's model."""
-        if strange := [device for device in asked if device not in moves]:
+        if strange := [device for device in devices if device not in moves]:
             raise BadInput(f"the cloud asks {self.edge} for {strange[0]}, whose model it did not join: run the region again.")
-        return tuple(asked)
+        return tuple(devices)
 
     def _refine(self, task: EdgeRefineTask) -> tuple[DevicesReport, dict[str, Path]]:
         """Let devices refine the scene and average what they send."""
         moves = self._moves(task.to_cloud)
         devices = self._own_devices(task.devices, moves)
-        cloud, asked = self.folder / "cloud", self._asked("edge_refine")
-        deal_files(asked, [SCENE_NAME], cloud)
+        cloud, request_folder = self.folder / "cloud", self._request_folder("edge_refine")
+        deal_files(request_folder, [SCENE_NAME], cloud)
         write_json(cloud / SUMMARY_NAME, {"num_splats": len(load_ply(cloud / SCENE_NAME))})
         name = self.edge.split("/")[1]
         dealer = self._dealer(self.region)
@@ -328,21 +329,22 @@ class EdgeRun:
         deadlines = RefiningDeadlines(expected_s=expected, deadline_factor=self.region.deadline_factor)
         self._executor(deadlines).fold(tree, refining.prepare, self.emit)
         left_out = refining.left_out_of(name)
-        found: dict[str, dict[str, Any]] = {device: {} for device in devices if device not in left_out}
-        own = self.folder / tree.id
+        records: dict[str, dict[str, Any]] = {device: {} for device in devices if device not in left_out}
+        result_folder = self.folder / tree.id
         names = [REFINED_NAME, ROWS_NAME, NOTES_NAME, REFUSED_NAME, RECORD_NAME, SIGNATURE_NAME]
-        return DevicesReport(found=found, missing=left_out), {each: own / each for each in names} if refining.is_done(tree.id) else {}
+        files = {file: result_folder / file for file in names} if refining.is_done(tree.id) else {}
+        return DevicesReport(found=records, missing=left_out), files
 
     def _score(self, task: EdgeScoreTask) -> DevicesReport:
         """Let devices score the finished scene; their figures."""
-        moves, asked = self._moves(task.to_cloud), self._asked("edge_score")
+        moves, request_folder = self._moves(task.to_cloud), self._request_folder("edge_score")
         devices = self._own_devices(task.devices, moves)
         dealer = self._dealer(self.region)
         self._exchange_keys()
-        shutil.copyfile(asked / PLAN_NAME, self.folder / PLAN_NAME)
+        shutil.copyfile(request_folder / PLAN_NAME, self.folder / PLAN_NAME)
         evaluate = EvaluateOptions()
         if self.region.lpips is not None:
-            deal_files(asked, [LPIPS_NAME], self.folder / "evaluation")
+            deal_files(request_folder, [LPIPS_NAME], self.folder / "evaluation")
             evaluate = EvaluateOptions(lpips_weights=self.folder / "evaluation" / LPIPS_NAME, lpips_network=self.region.lpips)
         machines = [
             ScoringMachine(
@@ -354,7 +356,9 @@ class EdgeRun:
             for device in devices
         ]
         names: tuple[Version, ...] = task.versions or (JOINED,)
-        scenes: dict[Version, Path] = {name: asked / (version_file(name) if index else SCENE_NAME) for index, name in enumerate(names)}
+        scenes: dict[Version, Path] = {
+            name: request_folder / (version_file(name) if index else SCENE_NAME) for index, name in enumerate(names)
+        }
         config = RunConfig(source=self.folder, out=self.folder, frames=self.region.frames, evaluate=evaluate)
         scoring = Scoring(config=config, recipe=dealer.recipe, machines=machines, scenes=scenes)
         reasons: dict[str, str] = {}
@@ -367,6 +371,6 @@ class EdgeRun:
             self.emit(event)
 
         folders = scoring.fold(self._executor(), listen)
-        found = {folder.parent.name: read_scores(folder / SCORES_NAME).record for folder in folders}
-        said = {device: reasons.get(f"devices/{device}/score", NOTHING_SENT) for device in devices}
-        return DevicesReport(found=found, missing={device: reason for device, reason in said.items() if device not in found})
+        records = {folder.parent.name: read_scores(folder / SCORES_NAME).record for folder in folders}
+        reason_of = {device: reasons.get(f"devices/{device}/score", NOTHING_SENT) for device in devices}
+        return DevicesReport(found=records, missing={device: reason for device, reason in reason_of.items() if device not in records})

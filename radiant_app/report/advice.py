@@ -33,8 +33,8 @@ def what_to_try(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any
     """
     if verdict_of(metrics).word != "poor":
         return ()
-    found = list(dict.fromkeys([*_tried(decisions), *_causes(metrics, decisions)]))
-    return tuple((found or [*_untried(decisions), NOTHING_SEEN])[:MOST_LINES])
+    lines = list(dict.fromkeys([*_tried(decisions), *_causes(metrics, decisions)]))
+    return tuple((lines or [*_untried(decisions), NOTHING_SEEN])[:MOST_LINES])
 
 
 NOTHING_SEEN = "the figures do not show why: compare the worst photographs with their renders (`radiant inspect`)"
@@ -42,16 +42,16 @@ NOTHING_SEEN = "the figures do not show why: compare the worst photographs with 
 
 def _tried(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The other choice of each trial that lost little, the best first."""
-    tried = [each for each in decisions if each.get("otherwise_db") is not None and each["otherwise_db"] > -MOST_TRIED_LOSS_DB]
-    for each in sorted(tried, key=lambda each: -each["otherwise_db"]):
-        decided = f"{each['topic']} ({each['choice']}) was decided by short trials"
-        yield f"`{each['otherwise']}`: {decided}, where this had {each['otherwise_db']:+.2f} dB"
+    tried = [row for row in decisions if row.get("otherwise_db") is not None and row["otherwise_db"] > -MOST_TRIED_LOSS_DB]
+    for row in sorted(tried, key=lambda row: -row["otherwise_db"]):
+        decided = f"{row['topic']} ({row['choice']}) was decided by short trials"
+        yield f"`{row['otherwise']}`: {decided}, where this had {row['otherwise_db']:+.2f} dB"
 
 
 def _untried(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    for each in decisions:
-        if each.get("otherwise") and each.get("otherwise_db") is None and not each["forced"] and not each.get("changes_nothing"):
-            yield f"`{each['otherwise']}`: {each['topic']} ({each['choice']}) was not tried here"
+    for row in decisions:
+        if row.get("otherwise") and row.get("otherwise_db") is None and not row["forced"] and not row.get("changes_nothing"):
+            yield f"`{row['otherwise']}`: {row['topic']} ({row['choice']}) was not tried here"
 
 
 def _causes(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -69,12 +69,12 @@ def _causes(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any]]) 
         gain = corrected_db - metrics["psnr_db"]
         models = "`--set train.light=always` models it, one fixed exposure avoids it"
         yield f"colour correction alone gains {gain:.1f} dB, so the light differs: {models}"
-    for each in decisions:
-        if each["topic"] == "blurred photographs" and each["figure"] is not None and each["figure"] < UNSHARP_PERCENT:
-            yield f"a photograph has {each['figure']:.0f} % of the others' sharpness: leave blurred ones out, or take them again"
-    shown = _times_shown(metrics)
-    if shown is not None and shown < HARDLY_SHOWN:
-        yield f"a training used each photograph {shown:.0f} times: give more --steps or more time"
+    for row in decisions:
+        if row["topic"] == "blurred photographs" and row["figure"] is not None and row["figure"] < UNSHARP_PERCENT:
+            yield f"a photograph has {row['figure']:.0f} % of the others' sharpness: leave blurred ones out, or take them again"
+    times_used = _times_shown(metrics)
+    if times_used is not None and times_used < HARDLY_SHOWN:
+        yield f"a training used each photograph {times_used:.0f} times: give more --steps or more time"
 
 
 def _times_shown(metrics: Mapping[str, Any]) -> float | None:

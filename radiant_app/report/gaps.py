@@ -33,8 +33,8 @@ def _of_the_site(metrics: Mapping[str, Any]) -> Iterator[str]:
         parts = f"{len(missing)} part{'s' * (len(missing) > 1)}"
         yield f"Not all of the site: {parts} of it came without a model, so what only the photographs there show is missing or coarse."
     if unplaced:
-        said = f"{unplaced} photograph{'s' * (unplaced > 1)} could not be placed"
-        yield f"{said}: what only they show is not in the model. Photographs that overlap their neighbours more would be."
+        unplaced_text = f"{unplaced} photograph{'s' * (unplaced > 1)} could not be placed"
+        yield f"{unplaced_text}: what only they show is not in the model. Photographs that overlap their neighbours more would be."
 
 
 def _of_the_frame(metrics: Mapping[str, Any], frame: Frame) -> Iterator[str]:

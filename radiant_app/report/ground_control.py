@@ -36,9 +36,9 @@ def placing_of_run(run: Path) -> dict[str, Any]:
                 record = read_json(folder / "result.json")
             except StoreDamaged:
                 return {}
-            found = {key: record[key] for key in (POSITIONS, DOUBTS) if key in record}
-            found |= _overlap_of(folder / "scene.safetensors")
-            return {**found, "num_unplaced": len(record["unregistered"])} if "unregistered" in record else found
+            placing = {key: record[key] for key in (POSITIONS, DOUBTS) if key in record}
+            placing |= _overlap_of(folder / "scene.safetensors")
+            return {**placing, "num_unplaced": len(record["unregistered"])} if "unregistered" in record else placing
     return {}
 
 
@@ -66,8 +66,8 @@ def survey_lines(record: Mapping[str, Any]) -> list[str]:
         shift = ", ".join(f"{value:.3f}" for value in record["positions_shift_m"])
         apart = f"; they lie {shift} m east, north, up of the ground control's datum" if record["control"] is not None else ""
         total, counting = record["num_positions"], record.get("num_positions_counting", record["num_positions"])
-        said = str(total) if counting == total else f"{counting} of {total} count"
-        lines.append(f"camera positions: {said}, RMS {1000 * record['positions_rms_m']:.0f} mm per axis{apart}")
+        counts = str(total) if counting == total else f"{counting} of {total} count"
+        lines.append(f"camera positions: {counts}, RMS {1000 * record['positions_rms_m']:.0f} mm per axis{apart}")
     return [*lines, *_left_out(record)]
 
 
@@ -77,14 +77,14 @@ def positions_lines(record: Mapping[str, Any] | None) -> list[str]:
         return []
     total, counting, photographs = record["num_positions"], record["num_counting"], record["num_photographs"]
     of = f" ({photographs} photographs)" if photographs != total else ""
-    left = [f"{row['name']} {row['away_m']:.3g} m" for row in record["left_out"][:MAX_NAMED]] if counting else []
+    left_out = [f"{row['name']} {row['away_m']:.3g} m" for row in record["left_out"][:MAX_NAMED]] if counting else []
     more = " …" if counting and len(record["left_out"]) > MAX_NAMED else ""
-    others = f"; not: {', '.join(left)}{more}" if left else ""
+    others = f"; not: {', '.join(left_out)}{more}" if left_out else ""
     return [f"GPS positions: {counting} of {total} count{of}{others}"]
 
 
-def _counted(counting: int, total: int, what: str) -> str:
-    return f"{total} {what}" if counting == total else f"{counting} of {total} {what} count"
+def _counted(counting: int, total: int, noun: str) -> str:
+    return f"{total} {noun}" if counting == total else f"{counting} of {total} {noun} count"
 
 
 def _left_out(record: Mapping[str, Any]) -> list[str]:
@@ -102,8 +102,8 @@ def _left_out(record: Mapping[str, Any]) -> list[str]:
 def _marks(point: Mapping[str, Any]) -> str:
     """How many photographs show a point, and how many of its marks count where not all do."""
     total, counting = point["num_images"], point.get("num_counting", point["num_images"])
-    said = str(total) if counting == total else f"{counting} of {total}"
-    return said if point.get("counts", True) else f"{said}, does not count"
+    counts = str(total) if counting == total else f"{counting} of {total}"
+    return counts if point.get("counts", True) else f"{counts}, does not count"
 
 
 def survey_rows(record: Mapping[str, Any]) -> list[dict[str, Any]]:

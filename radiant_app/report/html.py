@@ -45,7 +45,7 @@ OF_THE_MODEL = ("seams",)
 NAMELESS = frozenset({"images", "image", "photos", "photographs", "pictures", "input", "dcim"})
 """Names of folders that say nothing of what is in them."""
 TIERS = ("device", "edge", "cloud", "owner")
-GIVEN = {
+RECEIVED_TEXTS = {
     True: {
         "device": "its photographs, their poses and the points they see",
         "edge": "its devices' models and cameras",
@@ -99,7 +99,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any], listen:
         duration=clock_text(manifest.ended_s) + (" min" if manifest.ended_s < 3600 else " h"),
         manifest=manifest,
         metrics=metrics,
-        ground_control=None if (found := survey_of_run(run)) is None else (survey_lines(found), survey_rows(found)),
+        ground_control=None if (control := survey_of_run(run)) is None else (survey_lines(control), survey_rows(control)),
         unscored=describe_unscored(metrics),
         pooled=metrics.get("pooled", True),
         planned_by_raster=(run / PLANNING_FOLDER / "task.json").is_file(),
@@ -133,11 +133,11 @@ def access_by_tier(access_log: Sequence[Mapping[str, Any]], *, shared: bool) -> 
     """A row per tier, devices to owner: what its nodes received together, in bytes and in words."""
     rows = []
     for tier in TIERS:
-        own = [row for row in access_log if row["tier"] == tier]
-        if own:
-            sums = {key: sum(row[key] for row in own) for key in ("num_photographs", "photograph_bytes", "other_bytes")}
-            nodes = {refines_for(row["node"].removesuffix("/score")) for row in own}
-            rows.append({"tier": tier, "num_nodes": len(nodes), **sums, "given": GIVEN[shared][tier]})
+        rows_of_tier = [row for row in access_log if row["tier"] == tier]
+        if rows_of_tier:
+            sums = {key: sum(row[key] for row in rows_of_tier) for key in ("num_photographs", "photograph_bytes", "other_bytes")}
+            nodes = {refines_for(row["node"].removesuffix("/score")) for row in rows_of_tier}
+            rows.append({"tier": tier, "num_nodes": len(nodes), **sums, "given": RECEIVED_TEXTS[shared][tier]})
     return rows
 
 
@@ -149,8 +149,8 @@ def select_images(images: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [ordered[int(index)] for index in np.linspace(0, len(ordered) - 1, MAX_COMPARISONS).round()]
 
 
-def _tell(listen: Listener, part: int, done: int, total: int) -> None:
-    listen(StageProgress(stage=REPORT, done=done, total=total, phase=PARTS[part], step=part + 1, num_steps=len(PARTS)))
+def _tell(listen: Listener, part: int, num_done: int, total: int) -> None:
+    listen(StageProgress(stage=REPORT, done=num_done, total=total, phase=PARTS[part], step=part + 1, num_steps=len(PARTS)))
 
 
 def _save_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borders: bool) -> dict[str, Path]:
@@ -185,7 +185,7 @@ def _times(manifest: Manifest) -> dict[str, dict[str, Any]]:
     from radiant_app.report.phone import timeline_lines
 
     rows = {"timeline": _timeline_rows(manifest.stages), "timeline_emulated": timeline_of_emulation(manifest) if manifest.emulated else []}
-    return {name: timeline_lines(own) for name, own in rows.items()}
+    return {name: timeline_lines(node_rows) for name, node_rows in rows.items()}
 
 
 def timeline_of_emulation(manifest: Manifest) -> list[Any]:

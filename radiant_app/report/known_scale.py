@@ -23,7 +23,7 @@ class KnownScale:
     there is to say of it."""
 
     sigma: float
-    said: str
+    text: str
 
 
 def scale_of_run(run: RunView) -> KnownScale:
@@ -34,25 +34,25 @@ def scale_of_run(run: RunView) -> KnownScale:
 
 def page_scale(run: RunView) -> PageScale:
     """What the page of a run says of lengths that are measured on it."""
-    known, unit = scale_of_run(run), run.unit
+    scale, unit = scale_of_run(run), run.unit
     gsd = sampling_distance(run.scene)
     place = 0.0 if gsd is None else PLACE_GSD * gsd
-    return PageScale(unit=unit, scale_sigma=known.sigma, place_sigma=place, note=known.said, ground=ground_height(run.scene))
+    return PageScale(unit=unit, scale_sigma=scale.sigma, place_sigma=place, note=scale.text, ground=ground_height(run.scene))
 
 
 def known_scale(scene: SfmScene, survey: Mapping[str, Any] | None) -> KnownScale:
     """The same of a scene and its fit to a survey, as `survey_of_run` has it."""
     if scene.frame.kind == "unscaled":
-        return KnownScale(sigma=0.0, said="lengths in units of their own, for nothing gives the scale")
+        return KnownScale(sigma=0.0, text="lengths in units of their own, for nothing gives the scale")
     sigma = None if survey is None else survey.get("scale_sigma")
     if survey is not None and sigma is not None:
         by = "camera positions" if survey["control"] is None else "ground control"
-        return KnownScale(sigma=float(sigma), said=_known(float(sigma), by))
+        return KnownScale(sigma=float(sigma), text=_scale_text(float(sigma), by))
     if scene.frame.residual_m is not None and len(scene.cameras) > 1:
         sigma = _scale_by_gps(scene, scene.frame.residual_m)
-        return KnownScale(sigma=sigma, said=_known(sigma, "GPS"))
+        return KnownScale(sigma=sigma, text=_scale_text(sigma, "GPS"))
     by = "--distance or --height" if scene.frame.kind == "scaled" and survey is None else "what placed this run, which did not record it"
-    return KnownScale(sigma=0.0, said=f"σ is without that of the scale, which is as good as {by}")
+    return KnownScale(sigma=0.0, text=f"σ is without that of the scale, which is as good as {by}")
 
 
 def _scale_by_gps(scene: SfmScene, residual_m: float) -> float:
@@ -61,5 +61,5 @@ def _scale_by_gps(scene: SfmScene, residual_m: float) -> float:
     return residual_m / max(float(np.linalg.norm(centers - centers.mean(axis=0))), 1e-12)
 
 
-def _known(sigma: float, by: str) -> str:
+def _scale_text(sigma: float, by: str) -> str:
     return f"scale by {by}, σ {100 * sigma:.2g} %"

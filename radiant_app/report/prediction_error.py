@@ -68,21 +68,21 @@ def prediction_of(run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan],
 def measured_seconds(run: Path, manifest: Manifest) -> dict[tuple[str, str], float]:
     """(node, stage) → seconds of every device and edge that is known to have run."""
     times = manifest.emulated or manifest.stages
-    found: dict[tuple[str, str], float] = {}
+    seconds_of: dict[tuple[str, str], float] = {}
     for node, span in times.items():
         kind = node.split("/")[0]
         seconds = span["ended_s"] - span["started_s"]
         if kind not in ("devices", "edges", "cloud") or node.count("/") != (kind != "cloud") or seconds <= 0:
             continue
         if (sending := times.get(node + UPLINK)) is not None:
-            found[node, "send"] = sending["ended_s"] - sending["started_s"]
-            seconds -= found[node, "send"]
+            seconds_of[node, "send"] = sending["ended_s"] - sending["started_s"]
+            seconds -= seconds_of[node, "send"]
         if kind != "devices":
-            found[node, "aggregate" if kind == "edges" else "merge"] = seconds
+            seconds_of[node, "aggregate" if kind == "edges" else "merge"] = seconds
         elif (summary := run / node / "summary.json").is_file():
             train_s = min(seconds, float(read_json(summary, ("train_s",))["train_s"]))
-            found[node, "initialise"], found[node, "train"] = seconds - train_s, train_s
-    return found
+            seconds_of[node, "initialise"], seconds_of[node, "train"] = seconds - train_s, train_s
+    return seconds_of
 
 
 def _refining_error(system: System, edge_plans: Sequence[EdgePlan], manifest: Manifest, law: RefiningLaw) -> dict[str, Any] | None:
@@ -123,15 +123,15 @@ def curves_note(system: System) -> str:
     for origin, names in groups.items():
         if not names:
             continue
-        whose = "all machines" if len(names) == len(system.devices) + len(system.edges) else _list_names(names)
+        machines = "all machines" if len(names) == len(system.devices) + len(system.edges) else _list_names(names)
         kind, _, name = origin.partition(" ")
-        known = {
+        origin_text = {
             "default": "are a system file's defaults: guesses, not measured on this machine (`radiant machine profile` measures it)",
             "own": "are those of the system file; that they were measured on this machine and for this training is for it to say",
             "measured": f"were measured, profile {name}",
             "estimate": f"are estimates, never measured, profile {name}",
         }
-        sentences.append(f"The curves of {whose} {known[kind]}.")
+        sentences.append(f"The curves of {machines} {origin_text[kind]}.")
     return " ".join(sentences)
 
 
@@ -154,12 +154,12 @@ def gantt_rows(system: System, edge_plans: Sequence[EdgePlan], run: Path | None 
     rows: list[Any] = []
     for plan in edge_plans:
         for node in (f"edges/{plan.edge_id}", *(f"devices/{name}" for name in plan.device_ids)):
-            own = tuple(TimelineSpan(stage=row.stage, start_s=row.start_s, stop_s=row.stop_s) for row in planned_of.get(node, ()))
-            if own or node in bars:
-                rows.append(GanttRow(name=node, predicted=own, measured=bars.get(node, ()), strong=node.startswith("edges/")))
-    own = tuple(TimelineSpan(stage=row.stage, start_s=row.start_s, stop_s=row.stop_s) for row in planned_of.get("cloud", ()))
-    if own or "cloud" in bars:
-        rows.insert(0, GanttRow(name="cloud", predicted=own, measured=bars.get("cloud", ()), strong=True))
+            predicted = tuple(TimelineSpan(stage=row.stage, start_s=row.start_s, stop_s=row.stop_s) for row in planned_of.get(node, ()))
+            if predicted or node in bars:
+                rows.append(GanttRow(name=node, predicted=predicted, measured=bars.get(node, ()), strong=node.startswith("edges/")))
+    predicted = tuple(TimelineSpan(stage=row.stage, start_s=row.start_s, stop_s=row.stop_s) for row in planned_of.get("cloud", ()))
+    if predicted or "cloud" in bars:
+        rows.insert(0, GanttRow(name="cloud", predicted=predicted, measured=bars.get("cloud", ()), strong=True))
     return rows
 
 
@@ -194,9 +194,9 @@ def _online_errors(
     for position, node in enumerate(order[:-1]):
         so_far = {key: seconds for key, seconds in measured.items() if key[0] in order[: position + 1]}
         corrected = planned_stages(correct_system(system, planned, so_far), edge_plans)
-        rest = set(order[position + 1 :])
-        before, after = (_node_errors(stages, measured, rest) for stages in (planned, corrected))
-        rows.append({"after": node, "remaining": len(rest), "planned_percent": before, "corrected_percent": after})
+        remaining = set(order[position + 1 :])
+        before, after = (_node_errors(stages, measured, remaining) for stages in (planned, corrected))
+        rows.append({"after": node, "remaining": len(remaining), "planned_percent": before, "corrected_percent": after})
     return rows
 
 
@@ -217,8 +217,8 @@ def _node_errors(stages: Sequence[PlannedStage], measured: Mapping[tuple[str, st
 
 
 def _median_error(errors: Sequence[StageError]) -> float | None:
-    known = [abs(error.error_percent) for error in errors if error.error_percent is not None]
-    return float(np.median(known)) if known else None
+    percents = [abs(error.error_percent) for error in errors if error.error_percent is not None]
+    return float(np.median(percents)) if percents else None
 
 
 def _row(error: StageError) -> dict[str, Any]:

@@ -32,10 +32,10 @@ _TIME_LEFT = "/time left"
 """In place of a stage's name, of which none begins with a slash."""
 
 
-def track_items(items: Sequence[_Item], what: str) -> Iterator[_Item]:
+def track_items(items: Sequence[_Item], description: str) -> Iterator[_Item]:
     """The items, with a bar on a terminal, for a loop whose items take about equally long."""
     console = Console(stderr=True)
-    return iter(track(items, description=what, console=console, disable=not console.is_terminal))
+    return iter(track(items, description=description, console=console, disable=not console.is_terminal))
 
 
 def show_starting() -> AbstractContextManager[Any]:
@@ -117,8 +117,8 @@ class ProgressDisplay:
             self.num_decisions += 1
             if self._with_decisions:
                 why = f"{decision.reason}; case {decision.row}" if decision.row else decision.reason
-                said = f"decided {decision.stage}, {decision.topic}: {decision.choice} ({why})"
-                self._print(shown_text(said), "dim")
+                line = f"decided {decision.stage}, {decision.topic}: {decision.choice} ({why})"
+                self._print(shown_text(line), "dim")
 
     def _print(self, line: str | Text, style: str | None = None) -> None:
         self._console.print(line, style=style, highlight=False, markup=False, emoji=False, soft_wrap=not self._console.is_terminal)
@@ -141,8 +141,8 @@ class ProgressDisplay:
         num_ended, total = len(self._stages & self._ended), len(self._stages)
         if self._run is not None and self._whole.last is None:
             # The report comes after the stages and has a line of its own.
-            rest = ", finishing" if 0 < total == num_ended else ""
-            self._progress.update(self._run, description=f"run: {num_ended} of {total} stages{rest}", completed=num_ended, total=total)
+            ending = ", finishing" if 0 < total == num_ended else ""
+            self._progress.update(self._run, description=f"run: {num_ended} of {total} stages{ending}", completed=num_ended, total=total)
         return num_ended
 
     def _tell_run_left(self, event: RunLeft) -> None:
@@ -162,13 +162,13 @@ class ProgressDisplay:
 
     def _tell_time_left(self, event: TimeLeft) -> None:
         """Beside the bar of the run; in a log as a line, at most one per interval."""
-        left = f"devices and edges: left about {clock_text(max(1.0, event.seconds))}"
+        time_left = f"devices and edges: left about {clock_text(max(1.0, event.seconds))}"
         if self._console.is_terminal and self._run is not None:
-            self._progress.update(self._run, note=left)
+            self._progress.update(self._run, note=time_left)
         elif self._clock() >= self._line_due_s.get(_TIME_LEFT, 0.0):
             self._line_due_s[_TIME_LEFT] = self._clock() + SECONDS_BETWEEN_LINES
             off = "" if abs(event.correction - 1) < 0.005 else f", {event.correction:.2f} × what was planned"
-            self._print(left + off)
+            self._print(time_left + off)
 
     def _print_line(self, event: StageProgress) -> None:
         now_s = self._clock()

@@ -51,8 +51,8 @@ class Survey:
     @property
     def line(self) -> str:
         """All that is known, as one sentence."""
-        given = self.num_placed + self.num_left_out
-        count = f"{self.num_placed} photographs" if not self.num_left_out else f"{self.num_placed} of {given} photographs"
+        num_photographs = self.num_placed + self.num_left_out
+        count = f"{self.num_placed} photographs" if not self.num_left_out else f"{self.num_placed} of {num_photographs} photographs"
         facts = [count + (f" of {area_text(self.area_m2)}" if self.area_m2 is not None else "")]
         if self.gsd_m is not None:
             facts.append(f"ground sampling distance {length_text(self.gsd_m)}")
@@ -112,8 +112,8 @@ def sampling_distance(scene: SfmScene) -> float | None:
     points, views = scene.observations.T
     poses = scene.cameras.cam_from_world
     depths: FloatArray = np.einsum("ti,ti->t", poses[views, 2, :3], scene.points[points]) + poses[views, 2, 3]
-    each = [float(np.median(depths[views == view])) / scene.cameras.Ks[view, 0, 0] for view in np.unique(views)]
-    return float(np.median(each))
+    distances = [float(np.median(depths[views == view])) / scene.cameras.Ks[view, 0, 0] for view in np.unique(views)]
+    return float(np.median(distances))
 
 
 def _dates(folder: Path, names: tuple[str, ...]) -> tuple[str, str] | None:

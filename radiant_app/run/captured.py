@@ -92,9 +92,9 @@ def device_folders(source: Path, system: System) -> dict[str, Path] | None:
     # A COLMAP model beside them gives poses (--frames known) and holds no photograph.
     strange = sorted(set(inner) - set(named) - {"sparse"})
     if strange or loose:
-        other = f"the folder {strange[0]!r}" if strange else f"the photograph {loose[0]!r}"
+        unexpected = f"the folder {strange[0]!r}" if strange else f"the photograph {loose[0]!r}"
         raise BadInput(
-            f"{source} has subfolders of devices ({', '.join(named)}) and {other}: "
+            f"{source} has subfolders of devices ({', '.join(named)}) and {unexpected}: "
             f"give every device's photographs in a folder with its id, of {', '.join(ids)}."
         )
     return named
@@ -112,10 +112,10 @@ def locate_photographs(config: RunConfig, poses: GivenPoses | None, folders: dic
 def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress) -> Captured:
     """Let every device count its training photographs in a raster; no name or position leaves."""
     owned = [(device, name) for device, folder in folders.items() for name in photograph_names(folder)]
-    held = held_out_mask([f"{device}/{name}" for device, name in owned])
+    is_held_out = held_out_mask([f"{device}/{name}" for device, name in owned])
     places: dict[str, FloatArray] = {}
     for device, folder in folders.items():
-        held_out = [name for (owner, name), out in zip(owned, held, strict=True) if owner == device and out]
+        held_out = [name for (owner, name), out in zip(owned, is_held_out, strict=True) if owner == device and out]
         try:
             raster = raster_of(_positions_in(folder, f"positions/{device}", progress, cell_m, held_out), "gps")
         except (BadInput, StageFailed, OSError) as error:
@@ -167,13 +167,13 @@ def weigh_claims(owners: Sequence[str], progress: Progress) -> Any:
     number takes the training of all others (`StepLaw`).
     """
     rows = {device: np.flatnonzero([owner == device for owner in owners]) for device in dict.fromkeys(owners)}
-    counts = sorted(len(own) for own in rows.values())
+    counts = sorted(len(device_rows) for device_rows in rows.values())
     most = MOST_TIMES * counts[(len(counts) - 1) // 2] if counts else 0
-    for device, own in rows.items():
-        if len(own) > most:
-            said = f"device {device} has {len(own):,} photographs, more than {MOST_TIMES} times as many as most devices"
-            progress.listen(Warned(stage="plan", message=f"{said}: steps are shared as if they were {most:,}."))
-            rows[device] = own[np.linspace(0, len(own) - 1, most).round().astype(np.int64)]
+    for device, device_rows in rows.items():
+        if len(device_rows) > most:
+            claim = f"device {device} has {len(device_rows):,} photographs, more than {MOST_TIMES} times as many as most devices"
+            progress.listen(Warned(stage="plan", message=f"{claim}: steps are shared as if they were {most:,}."))
+            rows[device] = device_rows[np.linspace(0, len(device_rows) - 1, most).round().astype(np.int64)]
     return np.sort(np.concatenate([*rows.values(), np.zeros(0, np.int64)]))
 
 
@@ -181,8 +181,8 @@ def _largest_site(middles: Mapping[str, FloatArray], progress: Progress) -> list
     """The devices about that one which has most others within reach."""
     sites: dict[str, list[str]] = {}
     for device, middle in middles.items():
-        away_m = {other: np.linalg.norm(enu_from_geodetic(own[None], middle)[0]) for other, own in middles.items()}
-        sites[device] = [other for other, distance_m in away_m.items() if distance_m <= MAX_REACH_M]
+        away_m = {other_device: np.linalg.norm(enu_from_geodetic(position[None], middle)[0]) for other_device, position in middles.items()}
+        sites[device] = [other_device for other_device, distance_m in away_m.items() if distance_m <= MAX_REACH_M]
     if not sites:
         return []
     chosen = max(sites.values(), key=len)
@@ -194,15 +194,15 @@ def _largest_site(middles: Mapping[str, FloatArray], progress: Progress) -> list
     return chosen
 
 
-def _origin_of(known: FloatArray) -> FloatArray:
+def _origin_of(positions: FloatArray) -> FloatArray:
     """The median of positions (P,3), rounded to about ten metres: it is sent to all devices, and a
     median is one's position."""
-    if not len(known):
+    if not len(positions):
         raise BadInput(
             "no photograph has a GPS position with an altitude, which --frames gps needs: give poses with --frames known, or pool them "
             "(shared), where horizontal positions are enough."
         )
-    middle = _middle(known)
+    middle = _middle(positions)
     return np.array([*np.round(middle[:2], 4), np.round(middle[2], -1)])
 
 
@@ -214,19 +214,19 @@ def _locate_by_gps(config: RunConfig, folders: dict[str, Path] | None, progress:
     geodetic: list[tuple[float, float, float] | None] = []
     for owner, place in places.items():
         try:
-            found = _positions_in(place, "positions" if owner is None else f"positions/{owner}", progress)["photographs"]
+            lat_lon_alt_of = _positions_in(place, "positions" if owner is None else f"positions/{owner}", progress)["photographs"]
         except (BadInput, StageFailed, OSError) as error:
             if owner is None:
                 raise
             progress.listen(Warned(stage="plan", message=f"device {owner} takes no part: {_reason(error)}"))
             continue
-        names += found
-        owners += [owner] * len(found)
-        geodetic += found.values()
-    known = np.array([place for place in geodetic if place is not None], np.float64).reshape(-1, 3)
-    origin = _origin_of(known)
+        names += lat_lon_alt_of
+        owners += [owner] * len(lat_lon_alt_of)
+        geodetic += lat_lon_alt_of.values()
+    known_geodetic = np.array([place for place in geodetic if place is not None], np.float64).reshape(-1, 3)
+    origin = _origin_of(known_geodetic)
     positions = np.full((len(names), 3), np.nan)
-    positions[[place is not None for place in geodetic]] = enu_from_geodetic(known, origin)
+    positions[[place is not None for place in geodetic]] = enu_from_geodetic(known_geodetic, origin)
     labels = [name if owner is None else f"one of {owner}" for name, owner in zip(names, owners, strict=True)]
     _leave_out_other_sites(labels, positions, progress)
     return Captured(names=tuple(names), owners=tuple(owners), positions=positions, origin=origin)

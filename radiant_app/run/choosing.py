@@ -49,8 +49,8 @@ def keep_best(dealer: Dealer, score: Score, listen: Listener) -> tuple[Mapping[s
     compared = {machine: versions_of(_record_in(path)) or {} for machine, path in scores.items()}
     for machine, figures in list(compared.items()):
         if len(scenes) > 1 and not is_comparison([*scenes], figures):
-            said = f"{machine} does not compare the versions of the scene that it was asked to: its figures are left out."
-            listen(Warned(stage=STAGE, message=said))
+            message = f"{machine} does not compare the versions of the scene that it was asked to: its figures are left out."
+            listen(Warned(stage=STAGE, message=message))
             del compared[machine], scores[machine]
     choice = choose_version([*scenes], [*compared.values()])
     if choice is None:

@@ -126,5 +126,5 @@ def _stand(wanted: CutBy, reason: str) -> Cut:
     return Cut(looks=None, decision=replace(_decision("positions", reason), forced=forced, changes_nothing=not forced))
 
 
-def _decision(taken: str, reason: str) -> Decision:
-    return Decision(stage="plan", topic="what regions are cut by", choice=CHOICES[taken], figure=None, unit="", reason=reason)
+def _decision(choice: str, reason: str) -> Decision:
+    return Decision(stage="plan", topic="what regions are cut by", choice=CHOICES[choice], figure=None, unit="", reason=reason)

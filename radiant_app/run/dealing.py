@@ -74,10 +74,10 @@ class Dealer:
         filled = fills[node.tier](node, folder)
         if filled is None:
             return None
-        task, beside = filled
+        task, extra_inputs = filled
         self._exchange_keys(node)
         names = save_task(folder, task)
-        inputs = [*(folder / name for name in names if name != TASK_NAME), *beside]
+        inputs = [*(folder / name for name in names if name != TASK_NAME), *extra_inputs]
         # Of devices that train together their root receives nothing beforehand.
         below = [self.keys.get(child.id) for child in node.children] if node.tier != "device" and task.group is not None else []
         # How an earlier try ended holds for its processes alone.
@@ -198,14 +198,14 @@ class Dealer:
 
     def load_moves(self) -> dict[str, list[Sim3]]:
         """Device with a model in the scene → similarities from its frame to that, in order."""
-        found = {}
+        moves = {}
         for edge, to_cloud in load_corrections(self.run / "cloud").items():
             if to_cloud is not None:
                 moved = load_corrections(self.run / "edges" / edge)
                 # An edge speaks of its devices alone.
                 below = next(plan.device_ids for plan in self.recipe.edge_plans if plan.edge_id == edge)
-                found |= {device: [move, to_cloud] for device, move in moved.items() if move is not None and device in below}
-        return found
+                moves |= {device: [move, to_cloud] for device, move in moved.items() if move is not None and device in below}
+        return moves
 
     def missing_devices(self) -> dict[str, str]:
         """Device with photographs whose model is not in the scene → the reason."""

@@ -78,11 +78,11 @@ def _nearest(strips: Mapping[str, Polygon], place: Point) -> str | None:
 
 def _save(run: Path, dealer: Dealer, origin: FloatArray | None, parts: Sequence[Cameras], owners: Sequence[str]) -> None:
     splats = load_ply(dealer.scene_folder / "scene.ply")
-    shown = np.random.default_rng(0).permutation(len(splats))[:MAX_SHOWN_POINTS]
-    colors = np.clip(0.5 + SH_C0 * splats.sh0[shown, 0], 0, 1)
+    rows = np.random.default_rng(0).permutation(len(splats))[:MAX_SHOWN_POINTS]
+    colors = np.clip(0.5 + SH_C0 * splats.sh0[rows, 0], 0, 1)
     scene = SfmScene(
         cameras=concatenate_cameras(parts),
-        points=splats.means[shown].astype(np.float64),
+        points=splats.means[rows].astype(np.float64),
         colors=(255 * colors).round().astype(np.uint8),
         observations=np.zeros((0, 2), np.int64),
         frame=Frame(kind="unscaled" if origin is None else "metric", origin_lat_lon_alt=np.zeros(3) if origin is None else origin),
@@ -97,8 +97,8 @@ def _plan_of(owners: Sequence[str], dealer: Dealer) -> Any:
     edges = []
     edge_of_camera = np.zeros(len(owners), np.int64)
     for plan in dealer.recipe.edge_plans:
-        own = np.array([index for index, owner in enumerate(owners) if owner in plan.device_ids], np.int64)
-        devices = np.array([plan.device_ids.index(owners[index]) for index in own], np.int64)
-        edge_of_camera[own] = dealer.recipe.cloud_plan.edge_ids.index(plan.edge_id)
-        edges.append(replace(plan, camera_indices=own, device_of_camera=devices))
+        rows = np.array([index for index, owner in enumerate(owners) if owner in plan.device_ids], np.int64)
+        devices = np.array([plan.device_ids.index(owners[index]) for index in rows], np.int64)
+        edge_of_camera[rows] = dealer.recipe.cloud_plan.edge_ids.index(plan.edge_id)
+        edges.append(replace(plan, camera_indices=rows, device_of_camera=devices))
     return replace(dealer.recipe.cloud_plan, edge_of_camera=edge_of_camera), tuple(edges)

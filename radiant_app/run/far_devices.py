@@ -37,7 +37,7 @@ class FarDevices:
         Position 0, 8, 16, … of all "device/name" in sorted order is held out; where a device's
         names begin in that order follows from the counts of those before it.
         """
-        before = sum(count for other, count in self.counts.items() if f"{other}/" < f"{device}/")
+        before = sum(count for name, count in self.counts.items() if f"{name}/" < f"{device}/")
         return -before % HELD_OUT_EVERY
 
     def num_held_out(self, device: str) -> int:

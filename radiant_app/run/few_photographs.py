@@ -61,14 +61,14 @@ def choose_workforce(config: RunConfig, system: System, num_photographs: int, tr
     if plan.asks_together:
         return Workforce(system=system, warning=f"{few}; they are to train together, else fewer would work.")
     if plan.file is not None or plan.method != "exact":
-        made = f"--plan-method {plan.method}" if plan.file is None else "--plan"
-        return Workforce(system=system, warning=f"{few}; without {made} fewer would work.")
+        option = f"--plan-method {plan.method}" if plan.file is None else "--plan"
+        return Workforce(system=system, warning=f"{few}; without {option} fewer would work.")
     # Curves of several trainings, or of other steps than these, say nothing of who is faster.
     scaled = scaled_to_training(system, train, config.train.preset, num_photographs).system
     names = _fastest_that_hold(config, with_fixed_steps(scaled, train), num_photographs, train, wanted)
     if len(names) == num_devices:
         return Workforce(system=system, warning=f"{few}; fewer cannot hold them: raise max_cameras or memory_gb.")
-    return _told(_restrict(system, names), num_photographs, num_devices)
+    return _workforce_of(_restrict(system, names), num_photographs, num_devices)
 
 
 def _fastest_that_hold(config: RunConfig, system: System, num_photographs: int, train: TrainConfig, wanted: int) -> Collection[str]:
@@ -77,19 +77,19 @@ def _fastest_that_hold(config: RunConfig, system: System, num_photographs: int, 
     everyone = [device.id for device in system.devices]
     if too_small:
         return everyone
-    held = {own.id: num_photographs if own.max_cameras is None else own.max_cameras for own in limited.devices}
-    together = np.cumsum(sorted(held.values(), reverse=True))
+    capacity = {device.id: num_photographs if device.max_cameras is None else device.max_cameras for device in limited.devices}
+    together = np.cumsum(sorted(capacity.values(), reverse=True))
     count = max(wanted, int(np.searchsorted(together, num_photographs)) + 1)
     fastest = sorted(system.devices, key=lambda device: _seconds(device, num_photographs / count))
     for slowest in range(count, len(everyone)):
         # The slowest is as fast as may be; of those up to it, whoever holds most.
-        chosen = sorted((device.id for device in fastest[:slowest]), key=lambda name: -held[name])[:count]
-        if sum(held[name] for name in chosen) >= num_photographs:
+        chosen = sorted((device.id for device in fastest[:slowest]), key=lambda name: -capacity[name])[:count]
+        if sum(capacity[name] for name in chosen) >= num_photographs:
             return chosen
-    return sorted(everyone, key=lambda name: -held[name])[:count]
+    return sorted(everyone, key=lambda name: -capacity[name])[:count]
 
 
-def _told(working: System, num_photographs: int, num_devices: int) -> Workforce:
+def _workforce_of(working: System, num_photographs: int, num_devices: int) -> Workforce:
     names, case = [device.id for device in working.devices], _case_of(num_photographs, num_devices)
     assert case is not None, "few photographs are a measured case"
     who = f"{names[0]} trains" if len(names) == 1 else f"{', '.join(names)} train"
@@ -116,4 +116,4 @@ def _seconds(device: Device, num_photographs: float) -> float:
 def _restrict(system: System, names: Collection[str]) -> System:
     """The system with these devices, and the edges that have any of them."""
     kept_of = {edge.id: tuple(device for device in edge.devices if device.id in names) for edge in system.edges}
-    return replace(system, edges=tuple(replace(edge, devices=kept) for edge in system.edges if (kept := kept_of[edge.id])))
+    return replace(system, edges=tuple(replace(edge, devices=devices) for edge in system.edges if (devices := kept_of[edge.id])))

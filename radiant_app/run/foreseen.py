@@ -102,14 +102,14 @@ def foresee_planned(config: RunConfig, plan: Plan, recipe: Recipe, num_workers: 
     """What a run by this plan will take, `num_workers` processes at a time; photographs are placed
     before."""
     edge_plans = plan.edges
-    counts = [len(own.cameras_of(device)) for own in edge_plans for device in own.device_ids]
+    counts = [len(edge_plan.cameras_of(device)) for edge_plan in edge_plans for device in edge_plan.device_ids]
     num_photographs = sum(counts)
     work = _Work(
         num_photographs=max(1, num_photographs),
         num_held_out=math.ceil(num_photographs / (HELD_OUT - 1)),
         train=recipe.train,
         counts=[count for count in counts if count],
-        num_edges=sum(len(own.camera_indices) > 0 for own in edge_plans),
+        num_edges=sum(len(edge_plan.camera_indices) > 0 for edge_plan in edge_plans),
         joins=sum(count > 0 for count in counts) > 1 and "cloud" not in recipe.groups,
     )
     here = _work_s(config, work)
@@ -124,7 +124,7 @@ def _planned_s(config: RunConfig, plan: Plan, recipe: Recipe, num_workers: int) 
     """Training, joining and refining of machines whose costs are known, `num_workers` at a time."""
     system, edge_plans = recipe.system, plan.edges
     stages = planned_stages(system, edge_plans)
-    if (group := next((each for each in plan.groups if each.level == "cloud"), None)) is not None:
+    if (group := next((row for row in plan.groups if row.level == "cloud"), None)) is not None:
         return group.start_s + group.num_steps * group.step_s, group.end_s, 0.0
     counted = [row for row in stages if config.emulated or row.stage != "send"]
     seconds: dict[str, float] = {}
@@ -134,7 +134,7 @@ def _planned_s(config: RunConfig, plan: Plan, recipe: Recipe, num_workers: int) 
     edges = [value for node, value in seconds.items() if node.startswith("edges/")]
     joining_s = _side_by_side(edges, num_workers) + seconds.get("cloud", 0.0)
     fixed = config.train.step_policy == "fixed"
-    num_photographs = sum(len(own.camera_indices) for own in edge_plans)
+    num_photographs = sum(len(edge_plan.camera_indices) for edge_plan in edge_plans)
     num_devices = recipe.num_devices or len(system.devices)
     law = refining_law_of(recipe.train, recipe.aggregate, num_photographs, num_devices, fixed=fixed)
     refining_s = predict_refining(system, edge_plans, law, with_sending=config.emulated)
@@ -171,9 +171,9 @@ def _placing_s(config: RunConfig, sizes: Sequence[tuple[int, int]]) -> float:
     """Structure from motion of one owner; devices that place their own do it as they train."""
     if config.frames != "shared" or not sizes:
         return 0.0
-    known = locate_source(config.source, config.sfm.poses)[0] in ("colmap", "alignment", "mill19")
+    has_poses = locate_source(config.source, config.sfm.poses)[0] in ("colmap", "alignment", "mill19")
     sfm = SfmConfig(matching=config.sfm.matching, effort=config.sfm.effort)
-    return LOAD_CPU_S + sum(predict_phases(sizes, sfm).values()) * (KNOWN_POSES_SHARE if known else 1.0)
+    return LOAD_CPU_S + sum(predict_phases(sizes, sfm).values()) * (KNOWN_POSES_SHARE if has_poses else 1.0)
 
 
 def _sizes_of(config: RunConfig) -> list[tuple[int, int]]:

@@ -104,4 +104,4 @@ def _holds(train: TrainConfig, law: TogetherLaw) -> Callable[[Device, int], bool
 def costs_are_nobodys(system: System) -> bool:
     """Whether all devices have a system file's default costs, which are no machine's."""
     default = even_system(1, 1).devices[0]
-    return all(own.origin is None and (own.init_s, own.train_s) == (default.init_s, default.train_s) for own in system.devices)
+    return all(device.origin is None and (device.init_s, device.train_s) == (default.init_s, default.train_s) for device in system.devices)

@@ -58,7 +58,7 @@ def _read_poses(config: RunConfig, folders: dict[str, Path] | None, progress: Pr
     poses = read_given_poses(config.source, config.sfm.poses, "together" if folders is None else "by device")
     for message in poses.notes:
         progress.listen(Warned(stage="plan", message=message))
-    save_given_frame(config.out, poses.given)
+    save_given_frame(config.out, poses.frame)
     return poses
 
 
@@ -141,8 +141,10 @@ class DevicePhotographs:
         plan = plan_of_owners(regions, strips, devices, positions, system=system)
         strange = np.array(find_captured_elsewhere(strips, planned, devices, positions), bool)
         for device in sorted({owner for owner, is_strange in zip(owners, strange, strict=True) if is_strange}):
-            own = strange[[owner == device for owner in owners]]
-            message = f"{own.sum()} of {len(own)} photographs of device {device} lie where the plan has devices of another edge"
+            is_elsewhere = strange[[owner == device for owner in owners]]
+            message = (
+                f"{is_elsewhere.sum()} of {len(is_elsewhere)} photographs of device {device} lie where the plan has devices of another edge"
+            )
             progress.listen(Warned(stage="plan", message=f"{message}: were folders exchanged? What it shows there may be cut away."))
         return plan
 
@@ -196,7 +198,7 @@ class DevicePhotographs:
             poses=poses,
         )
         changed = tuple((file.st_size, file.st_mtime_ns) for file in files)
-        common = {each.name: getattr(settings, each.name) for each in fields(DeviceSettings)}
+        common = {field.name: getattr(settings, field.name) for field in fields(DeviceSettings)}
         return FieldTask(placing=placing, changed=changed, **common), [] if poses is None else [folder / poses]
 
     def _own_shares(self) -> dict[str, DeviceShare]:
@@ -204,11 +206,11 @@ class DevicePhotographs:
         held_out = captured.held_out
         shares = {}
         for device, folder in folders.items():
-            own = [index for index, owner in enumerate(captured.owners) if owner == device]
+            rows = [index for index, owner in enumerate(captured.owners) if owner == device]
             shares[device] = DeviceShare(
                 source=folder,
-                names=tuple(captured.names[index] for index in own if not held_out[index]),
-                held_out=tuple(captured.names[index] for index in own if held_out[index]),
+                names=tuple(captured.names[index] for index in rows if not held_out[index]),
+                held_out=tuple(captured.names[index] for index in rows if held_out[index]),
                 copy=False,
             )
         return shares
@@ -224,7 +226,7 @@ class DevicePhotographs:
             shares[device] = DeviceShare(
                 source=photo_folder(self.config.source),
                 names=tuple(captured.names[chosen[index]] for index in sorted(owner_of) if owner_of[index] == device),
-                held_out=tuple(captured.names[held] for held, near in zip(held_out, nearest, strict=True) if owner_of[int(near)] == device),
+                held_out=tuple(captured.names[row] for row, near in zip(held_out, nearest, strict=True) if owner_of[int(near)] == device),
                 copy=True,
             )
         return shares

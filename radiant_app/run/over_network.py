@@ -28,7 +28,7 @@ from radiant_app.executors.fold import Deadlines, RetryPolicy
 from radiant_app.executors.local import worker_command
 from radiant_app.executors.protocol import NodeTask, Prepare
 from radiant_app.files.system_file import dump_system
-from radiant_app.network.contents import OpenedReport, ToldDevice, open_report
+from radiant_app.network.contents import DeviceRecord, OpenedReport, open_report
 from radiant_app.network.executor import NetworkExecutor
 from radiant_app.network.hub import Hub
 from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME, remove_earlier
@@ -117,11 +117,11 @@ class CloudRun:
         if not dealer.has_model("cloud"):
             reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
             raise StageFailed(f"no device delivered a model that could be used. {reasons}")
-        rounds, done = plan_rounds(dealer, dealer.load_moves()), [node for node in nodes if dealer.is_done(node)]
-        progress.listen(Outlined(stages=(*done, *(node.id for each in rounds for node in each.tree or ()), *scores)))
+        rounds, finished = plan_rounds(dealer, dealer.load_moves()), [node for node in nodes if dealer.is_done(node)]
+        progress.listen(Outlined(stages=(*finished, *(node.id for refining in rounds for node in refining.tree or ()), *scores)))
         rounds = self._refine(rounds, progress)
-        refined = [node.id for each in rounds for node in each.tree or () if each.is_done(node.id)]
-        progress.listen(Outlined(stages=(*done, *refined, *scores)))
+        refined = [node.id for refining in rounds for node in refining.tree or () if refining.is_done(node.id)]
+        progress.listen(Outlined(stages=(*finished, *refined, *scores)))
         self._score(dealer, progress)
         progress.manifest.access_log = [*dealer.access_log]
         return dealer, tree, rounds
@@ -168,54 +168,56 @@ class CloudRun:
             task = tasks[node.id.split("/")[1]]
             save_task(folder, task)
             remove_earlier(kind, folder, files or ())
-            for given, path in (files or {}).items():
-                shutil.copyfile(path, folder / given)
-            key = content_key(__version__, task_key(task), *((folder / given) for given in files or ()))
+            for file_name, path in (files or {}).items():
+                shutil.copyfile(path, folder / file_name)
+            key = content_key(__version__, task_key(task), *((folder / file_name) for file_name in files or ()))
             self.keys[node.id] = key
             ask_again(kind, folder, key)
             return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
 
         nodes = tuple(Tree(id=f"edges/{edge}/{name}", tier="edge") for edge in tasks)
         self._executor(progress).fold(Tree(id=name, tier="cloud", children=nodes), prepare, progress.listen)
-        found: dict[str, dict[str, Any]] = {}
+        records: dict[str, dict[str, Any]] = {}
         missing: dict[str, str] = {}
         for edge, task in tasks.items():
             place = self.folder / f"edges/{edge}/{name}"
-            done = is_sealed(place, self.keys[f"edges/{edge}/{name}"])
-            report = open_report(kind, place, self.config.frames) if done else OpenedReport(found={}, missing={})
-            own = {device: report.found[device] for device in task.devices if device in report.found}
-            found |= own
-            missing |= {device: report.missing.get(device, f"edges/{edge} did not answer.") for device in task.devices if device not in own}
-        return OpenedReport(found=found, missing=missing)
+            is_answered = is_sealed(place, self.keys[f"edges/{edge}/{name}"])
+            report = open_report(kind, place, self.config.frames) if is_answered else OpenedReport(records={}, missing={})
+            edge_records = {device: report.records[device] for device in task.devices if device in report.records}
+            records |= edge_records
+            missing |= {
+                device: report.missing.get(device, f"edges/{edge} did not answer.") for device in task.devices if device not in edge_records
+            }
+        return OpenedReport(records=records, missing=missing)
 
     def _count(self, system: System, progress: Progress) -> FarDevices:
         """How many photographs each device has."""
         frames = self.config.frames
         assert frames != "shared"
-        tasks = {edge.id: EdgeCountTask(frames=frames, devices=tuple(own.id for own in edge.devices)) for edge in system.edges}
+        tasks = {edge.id: EdgeCountTask(frames=frames, devices=tuple(device.id for device in edge.devices)) for edge in system.edges}
         report = self._ask_edges("edge_count", {edge: task for edge, task in tasks.items() if task.devices}, progress)
         for device, reason in report.missing.items():
             progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {reason}"))
-        return FarDevices(counts=dict(sorted(report.found.items())))
+        return FarDevices(counts=dict(sorted(report.records.items())))
 
     def _plan(self, system: System, devices: FarDevices, progress: Progress) -> Plan:
         """The plan in which every device keeps what it took."""
         assert self.config.frames != "shared" and self.config.cell_m is not None
         tasks = {}
         for edge in system.edges:
-            own = tuple(device.id for device in edge.devices if devices.counts.get(device.id, 0))
-            if own:
+            counted = tuple(device.id for device in edge.devices if devices.counts.get(device.id, 0))
+            if counted:
                 tasks[edge.id] = EdgeRasterTask(
                     frames=self.config.frames,
-                    devices=own,
+                    devices=counted,
                     cell_m=self.config.cell_m,
-                    first_held_out=tuple(devices.first_held_out(device) for device in own),
+                    first_held_out=tuple(devices.first_held_out(device) for device in counted),
                 )
         report = self._ask_edges("edge_raster", tasks, progress)
         for device, reason in report.missing.items():
             progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {reason}"))
         rasters = self._usable_rasters(
-            {device: report.found[device] for device in devices.devices() if device in report.found}, devices, progress
+            {device: report.records[device] for device in devices.devices() if device in report.records}, devices, progress
         )
         places = {device: raster.middles for device, raster in rasters.items()}
         origin: FloatArray | None = None
@@ -257,7 +259,7 @@ class CloudRun:
         recipe, folder = dealer.recipe, self.folder / edge.id
         folder.mkdir(parents=True, exist_ok=True)
         plan = next(plan for plan in recipe.edge_plans if plan.edge_id == edge.name)
-        own = next(each for each in recipe.system.edges if each.id == edge.name)
+        edge_machines = next(part for part in recipe.system.edges if part.id == edge.name)
         names = tuple(device.name for device in edge.children)
         assert self.config.frames != "shared"
         task = RegionTask(
@@ -274,13 +276,13 @@ class CloudRun:
             upload=recipe.upload,
             step_policy=recipe.step_policy,
             num_devices=recipe.num_devices or devices_with_photographs(recipe.edge_plans),
-            num_photographs=sum(len(each.camera_indices) for each in recipe.edge_plans),
+            num_photographs=sum(len(part.camera_indices) for part in recipe.edge_plans),
             deadline_factor=self.config.execution.deadline_factor,
             lpips=lpips_network_of(self.config),
         )
         save_task(folder, task)
         save_plan(folder / PLAN_NAME, regions_alone(recipe.cloud_plan), (plan,))
-        write_atomic(folder / SYSTEM_NAME, dump_system(replace(recipe.system, edges=(own,))).encode())
+        write_atomic(folder / SYSTEM_NAME, dump_system(replace(recipe.system, edges=(edge_machines,))).encode())
         key = content_key(__version__, task_key(task), folder / PLAN_NAME, folder / SYSTEM_NAME)
         self.keys[edge.id] = key
         for name in names:
@@ -298,9 +300,9 @@ class CloudRun:
             return
         report = open_report("region", folder)
         for device in edge.children:
-            told: ToldDevice | None = report.found.get(device.name)
-            if told is not None:
-                files = {FRAME_NAME: told.frame.model_dump(), SUMMARY_NAME: told.summary.model_dump()}
+            record: DeviceRecord | None = report.records.get(device.name)
+            if record is not None:
+                files = {FRAME_NAME: record.frame.model_dump(), SUMMARY_NAME: record.summary.model_dump()}
                 self._seal_reported(device.id, files, self._key_of_device(key, device.name))
         if (folder / MODEL_NAME).is_file():
             dealer.keys[edge.id] = key
@@ -341,8 +343,8 @@ class CloudRun:
             save_task(folder, task)
             deal_files(refining.start_folder, [SCENE_NAME], folder)
             # The edge's own model stands for what its devices have.
-            own = self.folder / f"edges/{edge}" / REPORT_NAME
-            key = self.keys[node.id] = content_key(__version__, task_key(task), folder / SCENE_NAME, own)
+            report_path = self.folder / f"edges/{edge}" / REPORT_NAME
+            key = self.keys[node.id] = content_key(__version__, task_key(task), folder / SCENE_NAME, report_path)
             for device in devices:
                 refining.keys[refining.node(f"devices/{device}")] = self._key_of_device(key, device)
             ask_again("edge_refine", folder, key)
@@ -357,7 +359,7 @@ class CloudRun:
         report = open_report("edge_refine", folder)
         for device in edge.children:
             name = device.id.split("/")[1]
-            if name in report.found:
+            if name in report.records:
                 self._seal_reported(device.id, {}, self._key_of_device(key, name))
         if (folder / REFINED_NAME).is_file():
             refining.keys[edge.id] = key
@@ -383,15 +385,15 @@ class CloudRun:
         def score(scenes: Mapping[Version, Path]) -> dict[str, Path]:
             report = self._ask_scores(dealer, scenes, progress)
             admitted.clear()
-            admitted.update(admit_scores(dict(sorted(report.found.items())), claimable, warn))
+            admitted.update(admit_scores(dict(sorted(report.records.items())), claimable, warn))
             missing.clear()
             missing.update(report.missing)
             for device, reason in report.missing.items():
                 warn(device, f"this device has no figures: {reason}")
-            missing.update({device: "its figures are left out." for device in report.found if device not in admitted})
+            missing.update({device: "its figures are left out." for device in report.records if device not in admitted})
             scores = {}
-            for device, own in admitted.items():
-                self._seal_reported(f"devices/{device}/score", {SCORES_NAME: own.record}, content_key(own.record))
+            for device, device_scores in admitted.items():
+                self._seal_reported(f"devices/{device}/score", {SCORES_NAME: device_scores.record}, content_key(device_scores.record))
                 scores[device] = self.folder / f"devices/{device}/score" / SCORES_NAME
             return scores
 

@@ -138,7 +138,8 @@ def run(
             plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
             dealer, tree, rounds = _join(config, photographs, plan, progress)
         deal_files(dealer.scene_folder, ["scene.ply"], config.out)
-        emulation = emulated_figures(config.out, tree, [own for each in rounds if (own := each.tree)], manifest) if config.emulated else {}
+        trees = [refining.tree for refining in rounds if refining.tree]
+        emulation = emulated_figures(config.out, tree, trees, manifest) if config.emulated else {}
         missed = {"not_refined": left_out(rounds), "partly_refined": partly_left_out(rounds)}
         refined = {"refined": dealer.version == REFINED, **missed}
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **refined, **emulation}
@@ -220,13 +221,13 @@ def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress
         reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
         raise StageFailed(f"no device delivered a model that could be used. {reasons}")
     rounds = plan_rounds(dealer, dealer.load_moves())
-    refines = [node.id for each in rounds for node in each.tree or ()]
+    refines = [node.id for refining in rounds for node in refining.tree or ()]
     # Nodes without a result, or with nothing to do now, would be waited for in every count.
     absent = {f"devices/{device}/score" for device in dealer.missing_devices()}
     after = [stage for stage in after if stage not in absent]
     progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *refines, *after)))
     rounds = _refine(config, rounds, plan, progress)
-    refined = [node.id for each in rounds for node in each.tree or () if each.is_done(node.id)]
+    refined = [node.id for refining in rounds for node in refining.tree or () if refining.is_done(node.id)]
     progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *refined, *after)))
     photographs.score(dealer, executor, progress)
     return dealer, tree, rounds

@@ -119,10 +119,10 @@ class PooledPhotographs:
 
     def fill(self, device: str, folder: Path, recipe: Recipe) -> tuple[DeviceTask, list[Path]]:
         """Copy the device's photographs and masks; its task holds its part of the scene."""
-        own = self.training.restricted_to(recipe.cameras_of(device))
-        deal_files(self.images, own.cameras.names, folder / "photos")
-        masks = deal_masks(self.config.out, own.cameras.names, folder)
-        return device_task(recipe.device_settings(device), own), [folder / "photos", *masks]
+        device_scene = self.training.restricted_to(recipe.cameras_of(device))
+        deal_files(self.images, device_scene.cameras.names, folder / "photos")
+        masks = deal_masks(self.config.out, device_scene.cameras.names, folder)
+        return device_task(recipe.device_settings(device), device_scene), [folder / "photos", *masks]
 
     def fetched_files(self, device: str) -> list[Path]:
         """None: photographs are dealt."""
@@ -157,8 +157,8 @@ class PooledPhotographs:
         if (config.out / "sfm" / CAPTURES_NAME).is_file():
             deal_files(config.out / "sfm", [CAPTURES_NAME], folder)
             files.append(folder / CAPTURES_NAME)
-        given = [folder / "photos", *deal_masks(config.out, scene.cameras.names, folder), *files]
-        machine = ScoringMachine(stage="evaluation", inputs=tuple(given))
+        inputs = [folder / "photos", *deal_masks(config.out, scene.cameras.names, folder), *files]
+        machine = ScoringMachine(stage="evaluation", inputs=tuple(inputs))
         scoring = Scoring(config=config, recipe=dealer.recipe, machines=[machine])
         # Where the owner is, whatever runs the tree.
         write_json(folder / "result.json", scoring.run(dealer, LocalExecutor(num_workers=1, clock=progress.clock), progress))
@@ -172,8 +172,8 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
     sfm = SfmConfig(matching=config.sfm.matching, effort=config.sfm.effort, seed=config.seed, memory_bytes=memory_bytes)
-    asked, placement = config.sfm, Placement(**config.sfm.placement)
-    task = sfm_task(config.source, sfm, asked.masks, placement, asked.poses, refine_poses=asked.refine_poses, intake=asked.intake)
+    options, placement = config.sfm, Placement(**config.sfm.placement)
+    task = sfm_task(config.source, sfm, options.masks, placement, options.poses, refine_poses=options.refine_poses, intake=options.intake)
     save_task(folder, task)
     key = source_key(config, task, folder, progress.listen)
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)

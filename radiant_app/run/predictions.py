@@ -91,9 +91,9 @@ def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photograp
     return at_edges, share_of_epochs(joining.at_cloud.num_epochs, JOINING_EPOCHS[1], BESIDE_EPOCHS_AT_CLOUD)
 
 
-def share_of_epochs(epochs: int, most: int, beside: float = BESIDE_EPOCHS) -> float:
-    """Of a join in so many epochs at `most`, what one in fewer takes; `beside`: in none."""
-    return 1 - (1 - beside) * (1 - epochs / most)
+def share_of_epochs(epochs: int, most: int, share_beside: float = BESIDE_EPOCHS) -> float:
+    """Of a join in so many epochs at `most`, what one in fewer takes; `share_beside`: in none."""
+    return 1 - (1 - share_beside) * (1 - epochs / most)
 
 
 def with_short_joins(system: System, train: TrainConfig, num_cameras: int, aggregate: AggregateConfig) -> System:
@@ -145,9 +145,9 @@ def with_own_frames(system: System, num_cameras: int, *, known_poses: bool = Fal
         return replace(device, init_s=curve_through(lambda counts: init_s(counts) + slower * sfm.curve(counts), num_cameras))
 
     def bringing_together(edge: Edge) -> Edge:
-        own = replace(edge, devices=tuple(map(placing, edge.devices)))
+        placed = replace(edge, devices=tuple(map(placing, edge.devices)))
         frames_s = None if known_poses or edge.profile is None else edge.profile.frames_s
-        return own if frames_s is None else replace(own, aggregate_s=_with_frames(own.aggregate_s, frames_s, len(own.devices)))
+        return placed if frames_s is None else replace(placed, aggregate_s=_with_frames(placed.aggregate_s, frames_s, len(placed.devices)))
 
     cloud, merge_s = system.cloud, system.cloud.merge_s
     frames_s = None if known_poses or cloud.profile is None else cloud.profile.frames_alone_s
@@ -172,8 +172,8 @@ def predicts_frames(system: System) -> bool:
 def _slowness(device: Device) -> float:
     """How many times as long as its profile's machine a device takes (1 / relative_speed)."""
     assert device.profile is not None
-    known = float(device.profile.init_s.curve(1))
-    return float(device.init_s(1)) / known if known else 1.0
+    profile_s = float(device.profile.init_s.curve(1))
+    return float(device.init_s(1)) / profile_s if profile_s else 1.0
 
 
 def depends_on_training(system: System) -> bool:
@@ -208,29 +208,31 @@ def with_camera_limits(
 
         return {device.id: capacity_of(device) for device in limited}
 
-    def limit_to(found: dict[str, int]) -> System:
-        edges = (replace(e, devices=tuple(replace(d, max_cameras=found.get(d.id, d.max_cameras)) for d in e.devices)) for e in system.edges)
+    def limit_to(limit_of: dict[str, int]) -> System:
+        edges = (
+            replace(e, devices=tuple(replace(d, max_cameras=limit_of.get(d.id, d.max_cameras)) for d in e.devices)) for e in system.edges
+        )
         return replace(system, edges=tuple(edges))
 
-    found, warnings = limits(1.0), ()
-    capacity = system_capacity(limit_to(found), num_cameras)
+    limit_of, warnings = limits(1.0), ()
+    capacity = system_capacity(limit_to(limit_of), num_cameras)
     if capacity < num_cameras:
         warnings = (
             f"memory holds {capacity} of {num_cameras} photographs with all the Gaussians they call for: devices will train with fewer; "
             "give more memory_gb, or add devices.",
         )
-        found = limits(0.0)
-    least = min(limited, key=lambda device: found[device.id])
+        limit_of = limits(0.0)
+    least = min(limited, key=lambda device: limit_of[device.id])
     assert least.memory_bytes is not None
     decision = Decision(
         stage="plan",
         topic="memory",
-        choice=f"{len(limited)} devices hold {found[least.id]:,} photographs or more, {least.id} the fewest",
+        choice=f"{len(limited)} devices hold {limit_of[least.id]:,} photographs or more, {least.id} the fewest",
         figure=least.memory_bytes / 1e9,
         unit=f"GB at {least.id}",
         reason="photographs, Gaussians, one step and the libraries must fit; max_cameras in the system file says it by count",
     )
-    return limit_to(found), decision, warnings
+    return limit_to(limit_of), decision, warnings
 
 
 def prediction_warnings(system: System, edge_plans: Sequence[EdgePlan], training: ProfileKey) -> tuple[str, ...]:
@@ -239,12 +241,13 @@ def prediction_warnings(system: System, edge_plans: Sequence[EdgePlan], training
     quotas = {name: len(plan.cameras_of(name)) for plan in edge_plans for name in plan.device_ids}
     warnings = profile_warnings(system, [quotas[device.id] for device in system.devices], training)
     default = even_system(1, 1).devices[0]
-    guessed = [own.id for own in system.devices if own.origin is None and (own.init_s, own.train_s) == (default.init_s, default.train_s)]
+    costs = (default.init_s, default.train_s)
+    guessed = [device.id for device in system.devices if device.origin is None and (device.init_s, device.train_s) == costs]
     if not guessed or len(guessed) == len(system.devices):
         return warnings
     names = f"device{'s' * (len(guessed) > 1)} {', '.join(guessed)}"
-    said = f"the costs of {names} are a system file's defaults and no machine's, beside those of others: give a profile or costs there."
-    return (*warnings, said)
+    warning = f"the costs of {names} are a system file's defaults and no machine's, beside those of others: give a profile or costs there."
+    return (*warnings, warning)
 
 
 def _is_limited_by_memory(device: Device) -> bool:

@@ -33,7 +33,7 @@ def promises_of(config: RunConfig, *, pooled: bool) -> list[dict[str, Any]]:
         reason="a node's process is given its own folder alone; edges and the cloud are dealt models and cameras"
         + (", and through Ray go commands, events and hashes, no file" if in_cluster else ""),
     )
-    own = Promise(
+    own_work = Promise(
         promise="A device's photographs are readable on that device alone.",
         holds=not pooled and not in_cluster,
         reason=cluster if in_cluster else together if pooled else "every device reads its own folder, by a process of its own",
@@ -44,7 +44,7 @@ def promises_of(config: RunConfig, *, pooled: bool) -> list[dict[str, Any]]:
         holds=True,
         reason="seals are checked by the process that folds the tree, whatever ran the node",
     )
-    return [asdict(promise) for promise in (opens, own, cloud, whole)]
+    return [asdict(promise) for promise in (opens, own_work, cloud, whole)]
 
 
 def _of_the_cloud(config: RunConfig, cluster: str | None) -> dict[str, Any]:
@@ -56,5 +56,7 @@ def _of_the_cloud(config: RunConfig, cluster: str | None) -> dict[str, Any]:
         return {"holds": False, "reason": "who plans has all poses (--frames shared)"}
     if config.cell_m is None:
         return {"holds": False, "reason": "who plans has all positions (--raster-cell-m 0)"}
-    given = "it is dealt models and virtual cameras of edges, with pictures, and borders; where it plans, counts in cells, a curve per edge"
-    return {"holds": True, "reason": given}
+    reason = (
+        "it is dealt models and virtual cameras of edges, with pictures, and borders; where it plans, counts in cells, a curve per edge"
+    )
+    return {"holds": True, "reason": reason}

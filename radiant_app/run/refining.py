@@ -65,15 +65,15 @@ def fold_rounds(rounds: Sequence[Refining], fold: Callable[[Refining, Tree], Non
         listen(Decided(decision=decision))
     for message in rounds[0].plan.warnings:
         listen(Warned(stage=STAGE, message=message))
-    for each in rounds:
-        if (tree := each.tree) is None:
+    for refining in rounds:
+        if (tree := refining.tree) is None:
             break
-        fold(each, tree)
-        tried.append(each)
-        each.dealer.refined = each.scene_folder
-        if not each.is_done(tree.id):
-            kept = "the cloud left it" if each.dealer.refined is None else f"round {each.number - 1} left it"
-            listen(Warned(stage=tree.id, message=f"the scene stays as {kept}: no refinement arrived; --resume tries again."))
+        fold(refining, tree)
+        tried.append(refining)
+        refining.dealer.refined = refining.scene_folder
+        if not refining.is_done(tree.id):
+            state = "the cloud left it" if refining.dealer.refined is None else f"round {refining.number - 1} left it"
+            listen(Warned(stage=tree.id, message=f"the scene stays as {state}: no refinement arrived; --resume tries again."))
             break
     if tried and left_out(tried).keys() >= set().union(*tried[0].plan.devices.values()):
         # What came back are the Gaussians that went out.
@@ -92,16 +92,18 @@ def left_out(rounds: Sequence[Refining]) -> dict[str, str]:
 def partly_left_out(rounds: Sequence[Refining]) -> dict[str, str]:
     """Device that refined the scene in some of these rounds alone → in which it did not, and the
     last reason."""
-    found = {device: missed for device, missed in _missed_in(rounds).items() if len(missed) < len(rounds)}
-    return {device: f"not in round {_listed([number for number, _ in missed])}: {missed[-1][1]}" for device, missed in found.items()}
+    missed_by_some = {device: missed for device, missed in _missed_in(rounds).items() if len(missed) < len(rounds)}
+    return {
+        device: f"not in round {_listed([number for number, _ in missed])}: {missed[-1][1]}" for device, missed in missed_by_some.items()
+    }
 
 
 def _missed_in(rounds: Sequence[Refining]) -> dict[str, list[tuple[int, str]]]:
-    found: dict[str, list[tuple[int, str]]] = {}
-    for each in rounds:
-        for device, reason in each.left_out().items():
-            found.setdefault(device, []).append((each.number, reason))
-    return found
+    missed: dict[str, list[tuple[int, str]]] = {}
+    for refining in rounds:
+        for device, reason in refining.left_out().items():
+            missed.setdefault(device, []).append((refining.number, reason))
+    return missed
 
 
 def _listed(numbers: Sequence[int]) -> str:
@@ -168,14 +170,14 @@ class Refining:
 
     def left_out(self) -> dict[str, str]:
         """Device that was to refine the scene and did not → the reason."""
-        found: dict[str, str] = {}
+        reasons: dict[str, str] = {}
         for edge in self.plan.devices:
-            found |= self.left_out_of(edge)
-        return found
+            reasons |= self.left_out_of(edge)
+        return reasons
 
     def left_out_of(self, edge: str) -> dict[str, str]:
         """Those of one edge."""
-        found: dict[str, str] = {}
+        reasons: dict[str, str] = {}
         average = self.node(f"edges/{edge}")
         refused = self._refused_at(average)
         # What the cloud did not get of an edge, it did not get of its devices.
@@ -185,8 +187,8 @@ class Refining:
             if not self.is_done(self.node(f"devices/{name}")):
                 reason = LATE
             if reason is not None:
-                found[name] = reason
-        return found
+                reasons[name] = reason
+        return reasons
 
     def is_done(self, node: str) -> bool:
         """Whether the node with this id is done in this run."""
@@ -240,11 +242,11 @@ class Refining:
 
     def _fill_device(self, node: Tree, folder: Path) -> tuple[Any, list[Path]]:
         del folder
-        own = self.dealer.run / refines_for(node.id)
-        settings = self.dealer.recipe.refine_task(own.name)
-        common = {each.name: getattr(settings, each.name) for each in fields(RefineTask)}
+        device_folder = self.dealer.run / refines_for(node.id)
+        settings = self.dealer.recipe.refine_task(device_folder.name)
+        common = {field.name: getattr(settings, field.name) for field in fields(RefineTask)}
         # Its own model stands for the photographs, which it was made from.
-        return RefineNodeTask(corrections=tuple(map(Move.of, self.moves[own.name])), **common), [own / MODEL_NAME]
+        return RefineNodeTask(corrections=tuple(map(Move.of, self.moves[device_folder.name])), **common), [device_folder / MODEL_NAME]
 
     def _fill_edge(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         senders = self._receive(node, folder)
@@ -276,8 +278,8 @@ class Refining:
         num_dealt = tuple(sum(map(self.dealer.photographs.num_dealt, below[edge])) for edge in senders)
         inputs, kept_scene = [folder / "inbox"], folder / KEPT_SCENE
         shutil.rmtree(kept_scene.parent, ignore_errors=True)
-        if self.before is not None and (kept := self.before.scene_folder) is not None:
-            deal_files(kept, [SCENE_NAME], kept_scene.parent)
+        if self.before is not None and (scene_folder := self.before.scene_folder) is not None:
+            deal_files(scene_folder, [SCENE_NAME], kept_scene.parent)
             inputs.append(kept_scene)
         another = self.number < choose_rounds(self.dealer.recipe)
         return (FinishTask(senders=senders, num_dealt=num_dealt, another_round=another), inputs) if senders else None

@@ -63,22 +63,22 @@ def expected_times(refining: Refining, manifest: Manifest) -> dict[str, float]:
     times = {**manifest.stages, **manifest.emulated}
     expected: dict[str, float] = {}
     for node in refining.tree or ():
-        own = refines_for(node.id)
-        process_s = times[own]["ended_s"] - times[own]["started_s"] if own in times else 0.0
+        refined = refines_for(node.id)
+        process_s = times[refined]["ended_s"] - times[refined]["started_s"] if refined in times else 0.0
         if process_s <= 0:
             continue
-        summary = _summary(dealer.run / own)
+        summary = _summary(dealer.run / refined)
         larger = max(1.0, scene.get("num_splats", 0) / max(1, summary.get("num_splats", 0)))
         trained_s = min(process_s, summary.get("train_s", 0.0)) if node.tier == "device" else 0.0
         num_steps = 0
         if trained_s:
-            num_dealt = dealer.photographs.num_dealt(own.rsplit("/", 1)[-1])
+            num_dealt = dealer.photographs.num_dealt(refined.rsplit("/", 1)[-1])
             num_steps = refining_steps(dealer.recipe.refining_epochs, num_dealt)
         beside_s = (process_s - trained_s) * (1.0 if node.tier == "device" else larger)
         beside_s += sum(_render_s(dealer, child, scene) for child in node.children) if node.tier == "edge" else 0.0
         expected[node.id] = beside_s + trained_s * larger * num_steps / max(1, summary.get("num_steps", 0))
     for node in refining.tree or ():
-        alike = [expected[other.id] for other in refining.tree or () if other.tier == node.tier and other.id in expected]
+        alike = [expected[sibling.id] for sibling in refining.tree or () if sibling.tier == node.tier and sibling.id in expected]
         if alike:
             expected.setdefault(node.id, median(alike))
     return expected
@@ -86,11 +86,11 @@ def expected_times(refining: Refining, manifest: Manifest) -> dict[str, float]:
 
 def _render_s(dealer: Dealer, node: Tree, scene: Mapping[str, float]) -> float:
     """Seconds in which a device would render the scene and back at each of its photographs."""
-    own = refines_for(node.id)
-    summary = _summary(dealer.run / own)
+    refined = refines_for(node.id)
+    summary = _summary(dealer.run / refined)
     step_s = summary.get("train_s", 0.0) / max(1, summary.get("num_steps", 0))
     larger = max(1.0, scene.get("num_splats", 0) / max(1, summary.get("num_splats", 0)))
-    return step_s * larger * dealer.photographs.num_dealt(own.rsplit("/", 1)[-1])
+    return step_s * larger * dealer.photographs.num_dealt(refined.rsplit("/", 1)[-1])
 
 
 def _summary(folder: Path) -> Mapping[str, float]:

@@ -91,9 +91,9 @@ class Scoring:
         run, (scores, facts) = self.config.out, keep_best(dealer, score, progress.listen)
         # Pictures of photographs leave a machine only where all are one owner's.
         for kind in PICTURE_KINDS if self.config.frames == "shared" or self.config.single_owner else ():
-            for made in (path.parent / kind for path in scores.values()):
-                if made.is_dir():
-                    shutil.copytree(made, run / "pictures" / kind, dirs_exist_ok=True)
+            for pictures in (path.parent / kind for path in scores.values()):
+                if pictures.is_dir():
+                    shutil.copytree(pictures, run / "pictures" / kind, dirs_exist_ok=True)
         figures = combine_figures(run, {machine: admitted[machine] for machine in scores}, lpips_network_of(self.config))
         return {**figures, **facts}
 
@@ -114,27 +114,27 @@ class Scoring:
         nodes = tuple(Tree(id=machine.stage, tier="device") for machine in self.machines)
         executor.fold(Tree(id="scoring", tier="cloud", children=nodes), self._prepare, listen)
         run, stages = self.config.out, [machine.stage for machine in self.machines]
-        done = [machine for machine in self.machines if is_sealed(run / machine.stage, self.keys.get(machine.stage, ""))]
-        forged = self._forged([machine for machine in done if machine.edge is not None])
+        finished = [machine for machine in self.machines if is_sealed(run / machine.stage, self.keys.get(machine.stage, ""))]
+        forged = self._forged([machine for machine in finished if machine.edge is not None])
         for stage, reason in forged.items():
             listen(Warned(stage=stage, message=f"the figures of this device are left out: {reason}"))
-        folders = [run / machine.stage for machine in done if machine.stage not in forged]
+        folders = [run / machine.stage for machine in finished if machine.stage not in forged]
         self.failed = tuple(stage for stage in stages if run / stage not in folders)
         return folders
 
     def _forged(self, machines: Sequence[ScoringMachine]) -> dict[str, str]:
         """Stage of a device → why its edge does not take its figures."""
-        run, found = self.config.out, {}
+        run, forged = self.config.out, {}
         for edge in sorted({machine.edge for machine in machines if machine.edge is not None}):
-            places = {Path(own.stage).parent.name: run / own.stage for own in machines if own.edge == edge}
+            places = {Path(machine.stage).parent.name: run / machine.stage for machine in machines if machine.edge == edge}
             part = run / scored_at(edge)
             shutil.rmtree(part / DELIVERIES, ignore_errors=True)
             identify_part(run, scored_at(edge), edge, "cloud")
             for device, place in places.items():
                 deal_files(place, [RECORD_NAME, SIGNATURE_NAME], part / DELIVERIES / device)
             refused = find_refusals(part, [*places], places, "scores", run / edge)
-            found |= {scored_at(f"devices/{device}"): reason for device, reason in refused.items()}
-        return found
+            forged |= {scored_at(f"devices/{device}"): reason for device, reason in refused.items()}
+        return forged
 
     def _prepare(self, node: Tree) -> NodeTask | None:
         """Copy the scene and the borders to a machine; its task holds the moves of its frame."""
@@ -164,8 +164,8 @@ class Scoring:
         if machine.edge is not None:
             device = node.id.removesuffix("/score")
             identify_part(run, node.id, device, machine.edge)
-            given = [f"inbox/{path.name}" for path in sorted(inbox.iterdir())]
-            sign_task(run, machine.edge, device, "score_task", folder, [TASK_NAME, *given])
+            inputs = [f"inbox/{path.name}" for path in sorted(inbox.iterdir())]
+            sign_task(run, machine.edge, device, "score_task", folder, [TASK_NAME, *inputs])
         self.access_log.append({"node": node.id, "tier": "device", **count_received([inbox])})
         key = self.keys[node.id] = content_key(__version__, task_key(task), inbox, *machine.inputs)
         return NodeTask(kind="score", stage=node.id, folder=folder, key=key)
@@ -192,13 +192,13 @@ def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNe
 def combine_figures(run: Path, scores: Mapping[str, Scores], lpips_network: LpipsNetwork | None) -> dict[str, Any]:
     """Combine scores, by machine, into the figures of metrics.json; StageFailed where no machine
     has a held-out photograph."""
-    images = [row for each in scores.values() for row in each.rows]
+    images = [row for machine_scores in scores.values() for row in machine_scores.rows]
     if not images:
         none_placed = "the machines that scored have none whose pose is known; give more photographs."
         reason = none_placed if scores else "scoring ended without figures on every machine that has any; --resume tries again."
         raise StageFailed(f"no held-out photograph could be scored: {reason}")
-    errors = [error for each in scores.values() for error in each.border_errors]
-    leakage = {name: each.leakage.model_dump() for name, each in scores.items() if each.leakage is not None}
+    errors = [error for machine_scores in scores.values() for error in machine_scores.border_errors]
+    leakage = {name: machine_scores.leakage.model_dump() for name, machine_scores in scores.items() if machine_scores.leakage is not None}
     return {
         **summarize_scores(images, lpips_network=lpips_network),
         "num_gaussians": read_json(run / "cloud" / SUMMARY_NAME, ("num_splats",))["num_splats"],
@@ -212,7 +212,7 @@ def _seam_figures(excess: SeamExcess) -> dict[str, Any]:
     return {
         "seam_excess_db": excess.excess_db,
         "seam_excess_at_least_db": excess.at_least_db,
-        "seam_found": excess.found,
+        "seam_found": excess.has_seam,
         "seam_reason": excess.reason,
         "seam_photographs": excess.num_photographs,
     }

@@ -45,32 +45,32 @@ Files = dict[str, list[Any]]
 
 def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener) -> str:
     """The key of structure from motion by a task in `folder`; warns if the result is outdated."""
-    known = _read_record(folder)
+    recorded = _read_record(folder)
     masks = None if task.masks is None else Path(task.masks)
-    files = _describe_files(used_files(config.source, masks, config.sfm.poses), known or {})
+    files = _describe_files(used_files(config.source, masks, config.sfm.poses), recorded or {})
     refined = ["refine_poses"] if task.refine_poses else []
     settings = [message_record(task.sfm), message_record(task.placement), message_record(task.intake), *refined]
     key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, masks is None)
     if (folder / SEAL_NAME).is_file():
-        reason = OLDER if known is None else _change(known, files)
+        reason = OLDER if recorded is None else _change(recorded, files)
         if reason is not None:
             listen(Warned(stage="sfm", message=f"{reason}: structure from motion and what is made from it are done again."))
-    if files != known:
+    if files != recorded:
         write_json(folder / RECORD_NAME, files)
     return key
 
 
-def used_files(source: Path, masks: Path | None, asked: Path | None = None) -> dict[str, Path]:
+def used_files(source: Path, masks: Path | None, poses_source: Path | None = None) -> dict[str, Path]:
     """Name → file that structure from motion uses; of a COLMAP project its model and images;
-    `asked`: what --poses names."""
-    kind, images, model = detect_source(source, asked)
+    `poses_source`: what --poses names."""
+    kind, images, model = detect_source(source, poses_source)
     if kind == "film":
         films = films_in(images)
-        beside = [srt for film in films if (srt := srt_beside(film)) is not None]
+        subtitles = [srt for film in films if (srt := srt_beside(film)) is not None]
         # Which frames there will be, and so which masks fit, is known once they are taken.
         pictures = [] if masks is None or not masks.is_dir() else sorted(masks.rglob("*"))
         inside = {f"mask {path.relative_to(masks or source).as_posix()}": path for path in pictures if path.suffix.lower() in SUFFIXES}
-        return {path.name: path for path in (*films, *beside)} | {name: path for name, path in inside.items() if path.is_file()}
+        return {path.name: path for path in (*films, *subtitles)} | {name: path for name, path in inside.items() if path.is_file()}
     if kind == "mill19":
         poses = [path for split in ("train", "val") for path in sorted((source / split / "metadata").glob("*.pt"))]
         posed = {(path.parts[-3], path.stem) for path in poses}
@@ -85,12 +85,12 @@ def used_files(source: Path, masks: Path | None, asked: Path | None = None) -> d
     else:
         names, others = list(photograph_names(images)), []
     names = [name for name in names if is_image_name(name)]
-    found = {name: images / name for name in names} | {_name_of(path, source): path for path in others}
+    path_of = {name: images / name for name in names} | {_name_of(path, source): path for path in others}
     if masks is not None:
         # Structure from motion itself reports masks that fit no photograph.
         with suppress(BadInput):
-            found |= {f"mask of {name}": path for name, path in find_masks(masks, names).items()}
-    return {os.fsencode(name).decode(errors="backslashreplace"): path for name, path in found.items() if path.is_file()}
+            path_of |= {f"mask of {name}": path for name, path in find_masks(masks, names).items()}
+    return {os.fsencode(name).decode(errors="backslashreplace"): path for name, path in path_of.items() if path.is_file()}
 
 
 def _name_of(path: Path, source: Path) -> str:
@@ -108,14 +108,14 @@ def _read_record(folder: Path) -> Files | None:
     return record if whole else None
 
 
-def _describe_files(paths: Mapping[str, Path], known: Files) -> Files:
+def _describe_files(paths: Mapping[str, Path], recorded: Files) -> Files:
     """Size, time and hash of each file; a known hash is kept if size and time are unchanged."""
 
     def describe(name: str) -> list[Any]:
         status = paths[name].stat()
         size_and_time = [status.st_size, status.st_mtime_ns]
-        if name in known and known[name][:2] == size_and_time:
-            return known[name]
+        if name in recorded and recorded[name][:2] == size_and_time:
+            return recorded[name]
         try:
             return [*size_and_time, file_sha256(paths[name])]
         except StoreDamaged:
@@ -125,11 +125,11 @@ def _describe_files(paths: Mapping[str, Path], known: Files) -> Files:
         return dict(zip(paths, pool.map(describe, paths), strict=True))
 
 
-def _change(known: Files, files: Files) -> str | None:
+def _change(recorded: Files, files: Files) -> str | None:
     changes = {
-        "new": [name for name in files if name not in known],
-        "gone": [name for name in known if name not in files],
-        "with other content": [name for name, row in files.items() if name in known and known[name][2] != row[2]],
+        "new": [name for name in files if name not in recorded],
+        "gone": [name for name in recorded if name not in files],
+        "with other content": [name for name, row in files.items() if name in recorded and recorded[name][2] != row[2]],
     }
     changed = [f"{len(names)} {how} ({_list_names(names)})" for how, names in changes.items() if names]
     return f"photographs changed: {', '.join(changed)}" if changed else None

@@ -97,8 +97,8 @@ def plan_stage(
             progress.listen(Decided(decision=decision))
         warnings = (*note, *warnings)
         system, cloud_plan, edge_plans = _make_plan(config, system, (positions, origin, scene), progress)
-    made = cloud_plan if config.plan.file is None else None
-    warnings = warn_about_predictions(config, system, edge_plans, progress, warnings, made)
+    new_plan = cloud_plan if config.plan.file is None else None
+    warnings = warn_about_predictions(config, system, edge_plans, progress, warnings, new_plan)
     save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=warnings)
     save_system(config.out, system)
     return system, cloud_plan, edge_plans
@@ -223,8 +223,8 @@ def make_recipe(config: RunConfig, plan: Plan, num_devices: int, progress: Progr
 
 def workers_of(config: RunConfig, plan: Plan) -> int:
     """Processes at a time: as many as the user asks for, else as cores and memory allow."""
-    asked = config.execution
-    return asked.num_workers if asked.max_workers or plan.num_workers is None else min(asked.num_workers, plan.num_workers)
+    execution = config.execution
+    return execution.num_workers if execution.max_workers or plan.num_workers is None else min(execution.num_workers, plan.num_workers)
 
 
 def make_executor(config: RunConfig, plan: Plan, progress: Progress, retry_policy: RetryPolicy) -> Executor:

@@ -88,9 +88,9 @@ class Division:
         if self.num_devices == 1:
             choice = f"this machine trains one model of all {self.num_photographs} photographs"
         else:
-            each, at_once = math.ceil(self.num_photographs / self.num_devices), min(self.at_once, self.num_devices)
+            photographs_each, at_once = math.ceil(self.num_photographs / self.num_devices), min(self.at_once, self.num_devices)
             turns = "one after another" if at_once == 1 else f"up to {at_once} at a time"
-            choice = f"this machine trains {self.num_devices} models of about {each} photographs, {turns}, and joins them"
+            choice = f"this machine trains {self.num_devices} models of about {photographs_each} photographs, {turns}, and joins them"
         case = require(MACHINE)
         return Decision(
             stage="plan",
@@ -178,11 +178,11 @@ def divide(
     """
     path = config.out / MACHINE_NAME
     if path.is_file():
-        return Division(**read_json(path, [each.name for each in fields(Division)]))
-    asked = config.plan.devices if isinstance(config.plan.devices, int) else None
-    if asked is None and (len(system.devices) > 1 or not is_one_device(config)):
+        return Division(**read_json(path, [field.name for field in fields(Division)]))
+    num_devices = config.plan.devices if isinstance(config.plan.devices, int) else None
+    if num_devices is None and (len(system.devices) > 1 or not is_one_device(config)):
         return None
-    division = divided(lambda count: training_memory(train, count, pixels_each), num_photographs, available_bytes(), asked)
+    division = divided(lambda count: training_memory(train, count, pixels_each), num_photographs, available_bytes(), num_devices)
     write_json(path, asdict(division))
     return division
 
@@ -196,13 +196,13 @@ def system_divided(config: RunConfig, division: Division, progress: Progress) ->
     return division.system.with_uploads_of(BYTES_FACTORS[config.upload])
 
 
-def divided(memory_of: Callable[[int], TrainingMemory], num_photographs: int, free_bytes: int, asked: int | None = None) -> Division:
+def divided(memory_of: Callable[[int], TrainingMemory], num_photographs: int, free_bytes: int, wanted: int | None = None) -> Division:
     """The division into the fewest trainings that fit, by what one of so many photographs takes;
-    into those of `PHOTOGRAPHS_OF_A_DEVICE` where none does; into as many as are `asked` for."""
+    into those of `PHOTOGRAPHS_OF_A_DEVICE` where none does; into as many as are `wanted`."""
     most = max(1, num_photographs // PHOTOGRAPHS_OF_A_DEVICE)
     budget = MEMORY_SHARE * free_bytes
     fitting = (count for count in range(1, most + 1) if memory_of(math.ceil(num_photographs / count)).needed_bytes <= budget)
-    num_devices = next(fitting, most) if asked is None else asked
+    num_devices = next(fitting, most) if wanted is None else wanted
     memory = memory_of(math.ceil(num_photographs / num_devices))
     return Division(
         num_devices=num_devices,
@@ -210,5 +210,5 @@ def divided(memory_of: Callable[[int], TrainingMemory], num_photographs: int, fr
         needed_bytes=memory.needed_bytes,
         ample_bytes=memory.ample_bytes,
         free_bytes=free_bytes,
-        forced=asked is not None,
+        forced=wanted is not None,
     )

@@ -33,7 +33,7 @@ class TimeLeftListener:
     _expected_s: dict[str, float] = field(default_factory=dict[str, float])
     _started_s: dict[str, float] = field(default_factory=dict[str, float])
     _measured: dict[tuple[str, str], float] = field(default_factory=dict[tuple[str, str], float])
-    _done: set[str] = field(default_factory=set[str])
+    _ended: set[str] = field(default_factory=set[str])
     _paused: set[str] = field(default_factory=set[str])
     """Nodes whose duration counts for nothing, since the run was suspended meanwhile."""
 
@@ -81,23 +81,23 @@ class TimeLeftListener:
     def _reason_over(self, node_id: str, ran_s: float, factor: float) -> str | None:
         expected_s = self._expected_s.get(node_id)
         # A system file may be wrong by any factor: one node of the tier must be measured first.
-        known = any(node.split("/")[0] == node_id.split("/", maxsplit=1)[0] for node, _ in self._measured)
-        if expected_s is None or not known or ran_s < max(LEAST_S, factor * expected_s):
+        is_measured = any(node.split("/")[0] == node_id.split("/", maxsplit=1)[0] for node, _ in self._measured)
+        if expected_s is None or not is_measured or ran_s < max(LEAST_S, factor * expected_s):
             return None
         return f"it has run for {ran_s:.0f} s, where the plan, corrected by what was measured, says {expected_s:.0f} s"
 
     def _end(self, node: str) -> None:
-        self._done.add(node)
+        self._ended.add(node)
         corrected = planned_stages(correct_system(self.system, self._planned, self._measured), self.edge_plans)
         self._expected_s = expected_s = _node_seconds(corrected, with_sending=self.emulated)
         now_s = self.clock()
-        running_s = {name: now_s - started_s for name, started_s in self._started_s.items() if name not in self._done}
-        rest = [name for name in expected_s if name not in self._done]
-        if not rest:
+        running_s = {name: now_s - started_s for name, started_s in self._started_s.items() if name not in self._ended}
+        remaining = [name for name in expected_s if name not in self._ended]
+        if not remaining:
             return
-        before_s, after_s = (sum(seconds[name] for name in rest) for seconds in (self._seconds_of, expected_s))
+        before_s, after_s = (sum(seconds[name] for name in remaining) for seconds in (self._seconds_of, expected_s))
         workers = len(expected_s) if self.emulated else self.num_workers
-        seconds = time_left_s(expected_s, self._parents, running_s, self._done, workers)
+        seconds = time_left_s(expected_s, self._parents, running_s, self._ended, workers)
         self.listen(TimeLeft(seconds=seconds, correction=after_s / before_s if before_s > 0 else 1.0, after=node))
 
 

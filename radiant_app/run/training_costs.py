@@ -73,11 +73,11 @@ class _Scaling:
         )
 
     def edge(self, edge: Edge) -> Edge:
-        own = replace(edge, devices=tuple(map(self.device, edge.devices)))
+        scaled = replace(edge, devices=tuple(map(self.device, edge.devices)))
         share = self._share(edge.profile)
         if share is None:
-            return own
-        return replace(own, aggregate_s=curve_through(lambda counts: edge.aggregate_s(counts) * share(counts), self.most))
+            return scaled
+        return replace(scaled, aggregate_s=curve_through(lambda counts: edge.aggregate_s(counts) * share(counts), self.most))
 
     def cloud(self, cloud: Cloud) -> Cloud:
         share, merge_s = self._share(cloud.profile), cloud.merge_s
@@ -106,18 +106,18 @@ def _distance(profile: Profile, train: TrainConfig, preset: Preset) -> tuple[boo
 
 
 def _is_other(profile: Profile, nearest: Profile, train: TrainConfig, num_cameras: int) -> bool:
-    key, known = profile.key, nearest.key
-    beside = key.preset == known.preset and same_size(key.long_side_px, known.long_side_px)
+    key, nearest_key = profile.key, nearest.key
+    is_alike = key.preset == nearest_key.preset and same_size(key.long_side_px, nearest_key.long_side_px)
     # With a limit that the profile's training did not have it takes fewer Gaussians, and less time.
     splats = float(profile.model_bytes.curve(num_cameras)) / _splat_bytes(profile, train)
     limited = key.max_num_splats != train.max_num_splats and splats > train.max_num_splats
-    return limited or not (beside and same_size(key.long_side_px, train.long_side_px))
+    return limited or not (is_alike and same_size(key.long_side_px, train.long_side_px))
 
 
 def _splat_bytes(profile: Profile, train: TrainConfig) -> float:
     """Bytes of a Gaussian of a profile's training; of this one's where its preset is not known."""
-    known = profile.key.preset in ("draft", "default", "standard", "paper")
-    return 4 * _floats(train_preset(profile.key.preset).sh_degree if known else train.sh_degree)
+    is_preset = profile.key.preset in ("draft", "default", "standard", "paper")
+    return 4 * _floats(train_preset(profile.key.preset).sh_degree if is_preset else train.sh_degree)
 
 
 def _floats(sh_degree: int) -> float:

@@ -113,7 +113,7 @@ class WholeRun:
         if self._due_s == float("-inf"):
             # Before all else, so that nobody counts stages that a plan will change.
             self._due_s = self.clock() + SECONDS_BETWEEN
-            self.listen(self.left)
+            self.listen(self.run_left)
         self.listen(event)
         before = self._current
         if isinstance(event, Foreseen):
@@ -127,10 +127,10 @@ class WholeRun:
         is_over = self._phases[REPORT].ended_s is not None
         if self._current != before or is_over or self.clock() >= self._due_s:
             self._due_s = self.clock() + SECONDS_BETWEEN
-            self.listen(self.left)
+            self.listen(self.run_left)
 
     @property
-    def left(self) -> RunLeft:
+    def run_left(self) -> RunLeft:
         """How far the run is now."""
         seconds = self._left_s()
         return RunLeft(

@@ -128,8 +128,8 @@ class _Leader:
             self._reporter.warn(warning)
         traffic = self._children.links.traffic.values()
         summary = {
-            "received_bytes": sum(each.received_bytes for each in traffic),
-            "sent_bytes": sum(each.sent_bytes for each in traffic),
+            "received_bytes": sum(link_traffic.received_bytes for link_traffic in traffic),
+            "sent_bytes": sum(link_traffic.sent_bytes for link_traffic in traffic),
             "num_refused": root.inbox.num_refused,
         }
         result = root.result()
@@ -211,12 +211,12 @@ class _Leader:
 
     def _keys_beside(self, devices: Mapping[str, bytes]) -> dict[str, bytes]:
         """The public keys of all whose sum has these devices; BadInput where one sent none."""
-        beside = [name for views in self._plan.views.values() if views.keys() & devices.keys() for name in views]
-        for name in beside:
+        names = [name for views in self._plan.views.values() if views.keys() & devices.keys() for name in views]
+        for name in names:
             if not self._public_keys.get(name):
                 reason = self.refused.get(name, "it sent no public key")
                 raise BadInput(f"a masked training cannot go on without {name} ({reason}): run again with --resume, or without masks.")
-        return {name: self._public_keys[name] for name in beside}
+        return {name: self._public_keys[name] for name in names}
 
     def _key(self, start: GroupStart) -> str:
         return content_key(__version__, start.group, start.initial.arrays(), start.camera_centers, dict(self._plan.of_devices))

@@ -137,7 +137,7 @@ class ParentLinks:
             if self._latest.get(name) is attempt:
                 self.drop(name, "a new link replaced it")
                 self._wires[name] = Wire(group, PARENT, name, self._rules, self._traffic[name])
-                linked = [*(other for other in linked if other != name), name]
+                linked = [*(linked_name for linked_name in linked if linked_name != name), name]
         return linked
 
     def wait_for(self, names: Collection[str], wait_s: float) -> list[str]:
@@ -163,7 +163,7 @@ class ParentLinks:
             self._try(name, lost, lambda wire: wire.open(deadline))
         messages: dict[str, Message | LinkLost] = {}
         for name in names:
-            message = None if name in lost else self._try(name, lost, lambda wire: _read(wire, step, deadline))
+            message = None if name in lost else self._try(name, lost, lambda wire: _read_message(wire, step, deadline))
             messages[name] = lost[name] if message is None else message
         return messages
 
@@ -233,13 +233,13 @@ class ParentLinks:
 
 def _receive(wire: Wire, step: int | None, deadline: float) -> Message:
     wire.open(deadline)
-    return _read(wire, step, deadline)
+    return _read_message(wire, step, deadline)
 
 
-def _read(wire: Wire, step: int | None, deadline: float) -> Message:
+def _read_message(wire: Wire, step: int | None, deadline: float) -> Message:
     """The message of `step`, of which `wire` has opened the first."""
     while True:
-        message = wire.read(deadline)
+        message = wire.read_message(deadline)
         if step is None or message.step == step:
             return message
         if message.step > step:

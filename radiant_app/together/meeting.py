@@ -90,10 +90,10 @@ class _Store(Store):
         gloo's own `timeout` is not heeded: a child may wait for its parent longer than for a
         connection.
         """
-        deadline, taken, pause_s = self._deadline, False, 0.001
+        deadline, was_taken, pause_s = self._deadline, False, 0.001
         while not self.check(keys):
-            if not taken and self._attempt.is_taken():
-                taken, deadline = True, min(deadline, time.monotonic() + ANSWER_S)
+            if not was_taken and self._attempt.is_taken():
+                was_taken, deadline = True, min(deadline, time.monotonic() + ANSWER_S)
             if time.monotonic() >= deadline:
                 raise TimeoutError(f"The other end of {self._attempt.path} did not come.")
             time.sleep(pause_s)

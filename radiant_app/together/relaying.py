@@ -118,8 +118,8 @@ class _Relaying:
             else:
                 mark_done(meeting_of(self._folder, self._plan.root), self._folder.name)
                 traffic = [self._traffic, *self._links.traffic.values()]
-                self._relayed.summary["sent_bytes"] = sum(each.sent_bytes for each in traffic)
-                self._relayed.summary["received_bytes"] = sum(each.received_bytes for each in traffic)
+                self._relayed.summary["sent_bytes"] = sum(link_traffic.sent_bytes for link_traffic in traffic)
+                self._relayed.summary["received_bytes"] = sum(link_traffic.received_bytes for link_traffic in traffic)
                 self._relayed.summary["num_refused"] = self._num_refused
                 return self._relayed
 

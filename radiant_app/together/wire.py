@@ -9,7 +9,7 @@ A byte of its own (`_END`) follows every part, and it is what the receiver waits
 of a lost connection to every receive but the one whose bytes it is just reading, which would wait
 for the whole limit after the sender was killed (`findings/gloo_half_a_message.sh`). A connection
 keeps the order of its messages, so the part is there when the byte is. For the same reason nobody
-waits for a send: its receiver answers with a byte (`_READ`), for which the sender waits before
+waits for a send: its receiver answers with a byte (`_RECEIPT`), for which the sender waits before
 its next message.
 
 gloo closes a connection for good when somebody waits in vain, or when the other process ends.
@@ -39,7 +39,7 @@ Windows) takes only messages of the posted length, that of Linux shorter ones to
 reach it."""
 
 _HEADER = struct.Struct("<QqQ")
-_FIRST, _REST, _END, _READ = 0, 1, 2, 3  # tags
+_FIRST, _REMAINDER, _END, _RECEIPT = 0, 1, 2, 3  # tags
 _LATE = "no answer within"
 
 
@@ -132,14 +132,14 @@ class Wire:
 
     def __init__(self, group: Any, rank: int, peer: str, rules: LinkRules, traffic: Traffic) -> None:
         self._group: Any = group
-        self._other, self.peer, self.rules, self.traffic = 1 - rank, peer, rules, traffic
+        self._peer_rank, self.peer, self.rules, self.traffic = 1 - rank, peer, rules, traffic
         self._inbox = torch.empty(FIRST_BYTES, dtype=torch.uint8)
         self._outbox = torch.empty(FIRST_BYTES if PADDED else 0, dtype=torch.uint8)
-        self._rest = torch.empty(0, dtype=torch.uint8)
+        self._remainder = torch.empty(0, dtype=torch.uint8)
         self._end_in, self._end_out = torch.zeros(1, dtype=torch.uint8), torch.zeros(1, dtype=torch.uint8)
         self._coming: list[Any] = []
         self._read_in, self._read_out = torch.zeros(1, dtype=torch.uint8), torch.zeros(1, dtype=torch.uint8)
-        self._going: list[Any] = []  # first the receive of `_READ`
+        self._going: list[Any] = []  # first the receive of `_RECEIPT`
         self._answer: Any = None
         self._free_at = 0.0
         self._lost = ""
@@ -160,10 +160,10 @@ class Wire:
         view[_HEADER.size : total] = body
         first = FIRST_BYTES if PADDED else min(total, FIRST_BYTES)
         with self._loss(0.0):
-            self._going = [self._group.recv([self._read_in], self._other, _READ)]
+            self._going = [self._group.recv([self._read_in], self._peer_rank, _RECEIPT)]
             self._put(self._outbox[:first], _FIRST)
             if total > first:
-                self._put(self._outbox[first:total], _REST)
+                self._put(self._outbox[first:total], _REMAINDER)
         self.traffic.sent_bytes += total
         self.traffic.sent_messages += 1
 
@@ -171,7 +171,7 @@ class Wire:
         """Wait until the peer has read the last message of `send`."""
         with self._loss(deadline):
             for work in self._going:
-                work.wait(_left(deadline))
+                work.wait(_time_left(deadline))
         self._going = []
 
     def open(self, deadline: float) -> None:
@@ -182,23 +182,23 @@ class Wire:
         length, _, _ = self._header()
         if length > self.rules.most_bytes:
             raise self.lose(f"it announced a message of {length} bytes; at most {self.rules.most_bytes} are taken")
-        rest = _HEADER.size + length - FIRST_BYTES
-        if rest > 0:
-            self._rest = torch.empty(rest, dtype=torch.uint8)
+        num_remaining = _HEADER.size + length - FIRST_BYTES
+        if num_remaining > 0:
+            self._remainder = torch.empty(num_remaining, dtype=torch.uint8)
             with self._loss(0.0):
-                self._expect(self._rest, _REST)
+                self._expect(self._remainder, _REMAINDER)
 
-    def read(self, deadline: float) -> Message:
+    def read_message(self, deadline: float) -> Message:
         """The message that `open` began, when it is due. A second part has `limit_s` of its own."""
         length, step, due_ns = self._header()
-        if len(self._rest):
+        if len(self._remainder):
             deadline = max(deadline, time.monotonic() + self.rules.limit_s)
             self._arrive(deadline)
         self._hold(due_ns / 1e9, deadline)
         payload = bytes(_view(self._inbox)[_HEADER.size : min(_HEADER.size + length, FIRST_BYTES)])
-        if len(self._rest):
-            payload += self._rest.numpy().tobytes()
-            self._rest = torch.empty(0, dtype=torch.uint8)
+        if len(self._remainder):
+            payload += self._remainder.numpy().tobytes()
+            self._remainder = torch.empty(0, dtype=torch.uint8)
         self.traffic.received_bytes += _HEADER.size + length
         self.traffic.received_messages += 1
         self._post()
@@ -224,26 +224,26 @@ class Wire:
         left."""
         if self._group is not None:
             try:
-                self._answer = self._group.send([self._read_out], self._other, _READ)
+                self._answer = self._group.send([self._read_out], self._peer_rank, _RECEIPT)
             except RuntimeError as error:
                 self.lose(_reason(str(error), self.rules.limit_s))
 
     def _put(self, part: torch.Tensor, tag: int) -> None:
         """Send a part and the byte after it."""
-        self._going.append(self._group.send([part], self._other, tag))
-        self._going.append(self._group.send([self._end_out], self._other, _END))
+        self._going.append(self._group.send([part], self._peer_rank, tag))
+        self._going.append(self._group.send([self._end_out], self._peer_rank, _END))
 
     def _expect(self, part: torch.Tensor, tag: int) -> None:
         """Post the receives of a part and of the byte after it, in the order in which they are
         sent."""
-        self._coming = [self._group.recv([part], self._other, tag)]
-        self._coming.append(self._group.recv([self._end_in], self._other, _END))
+        self._coming = [self._group.recv([part], self._peer_rank, tag)]
+        self._coming.append(self._group.recv([self._end_in], self._peer_rank, _END))
 
     def _arrive(self, deadline: float) -> None:
         """Wait for the byte after a part, then for the part, which is there."""
         with self._loss(deadline):
             for work in reversed(self._coming):
-                work.wait(_left(deadline))
+                work.wait(_time_left(deadline))
 
     def _header(self) -> tuple[int, int, int]:
         return _HEADER.unpack_from(_view(self._inbox))
@@ -287,7 +287,7 @@ def _view(tensor: torch.Tensor) -> memoryview:
     return memoryview(array)
 
 
-def _left(deadline: float) -> timedelta:
+def _time_left(deadline: float) -> timedelta:
     """What is left until a deadline, at least 1 ms: gloo takes 0 for no limit."""
     return timedelta(seconds=max(0.001, deadline - time.monotonic()))
 

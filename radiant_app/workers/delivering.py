@@ -43,7 +43,7 @@ from radiant_core.io.transport.delivery import (
 )
 from radiant_core.io.transport.signing import KEY_NAME, PUBLIC_NAME, load_public_key, make_signing_key
 
-IDENTITY, SENDERS, DELIVERIES, GIVEN, POST_NAME = "identity", "senders", "deliveries", "given", "post.json"
+IDENTITY, SENDERS, DELIVERIES, FROM_ABOVE, POST_NAME = "identity", "senders", "deliveries", "given", "post.json"
 ABOVE_NAME, TAKEN_NAME = "above.pub", "taken.json"
 _KINDS: dict[str, Kind] = {"devices": "device_model", "edges": "edge_model"}
 
@@ -143,23 +143,23 @@ def sign_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, na
     changed files make a new attempt."""
     files = describe_files({name: place / name for name in names})
     delivery = Delivery(run=run_number(run), sender=sender, receiver=receiver, kind=kind, attempt=1, files=files)
-    counted = run / sender / IDENTITY / GIVEN / receiver / f"{kind}.json"
+    counted = run / sender / IDENTITY / FROM_ABOVE / receiver / f"{kind}.json"
     if counted.is_file():
         last = read_json(counted, ("attempt", "digest"), MAX_RECORD_BYTES)
         delivery = replace(delivery, attempt=last["attempt"] + (last["digest"] != delivery.digest))
     counted.parent.mkdir(parents=True, exist_ok=True)
     # Counted first: no number is signed for two contents, whenever this process ends.
     write_json(counted, {"attempt": delivery.attempt, "digest": delivery.digest})
-    (place / GIVEN).mkdir(exist_ok=True)
-    save_delivery(place / GIVEN, delivery, run / sender / IDENTITY)
+    (place / FROM_ABOVE).mkdir(exist_ok=True)
+    save_delivery(place / FROM_ABOVE, delivery, run / sender / IDENTITY)
 
 
 def accept_task(folder: Path, kind: Kind) -> None:
     """Raise BadInput unless `folder` holds the parent's newest task for this node; record it."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node", "receiver"), MAX_RECORD_BYTES)
-    delivery = _load_signed(folder / GIVEN, folder / IDENTITY / ABOVE_NAME, str(folder))
+    delivery = _load_signed(folder / FROM_ABOVE, folder / IDENTITY / ABOVE_NAME, str(folder))
     if delivery.kind != kind:
-        raise BadInput(f"{folder / GIVEN} is {delivery.kind!r}, expected {kind!r}: send the task again.")
+        raise BadInput(f"{folder / FROM_ABOVE} is {delivery.kind!r}, expected {kind!r}: send the task again.")
     check_files(delivery, folder)
     require_nothing_else(delivery, folder)
     last, verdict = _last_task(folder, post).offer(_offer(delivery.receiver, delivery))
@@ -174,8 +174,8 @@ def _last_task(folder: Path, post: dict[str, Any]) -> LastTask:
     path = folder / IDENTITY / TAKEN_NAME
     if not path.is_file():
         return last
-    taken = read_json(path, ("key", "attempt", "digest"), MAX_RECORD_BYTES)
-    return replace(last, attempt=taken["attempt"], digest=taken["digest"]) if taken["key"] == _key_of_above(folder) else last
+    record = read_json(path, ("key", "attempt", "digest"), MAX_RECORD_BYTES)
+    return replace(last, attempt=record["attempt"], digest=record["digest"]) if record["key"] == _key_of_above(folder) else last
 
 
 def _key_of_above(folder: Path) -> str:
@@ -220,7 +220,7 @@ def find_refusals(
     expected = {sender: f"{tier}/{sender}" for sender in senders}
     wanted = kind or _KINDS[tier]
     acceptance = Acceptance(run=post["run"], receiver=post["node"], senders=expected)
-    found = {}
+    refusals = {}
     for sender in senders:
         try:
             delivery = _load_signed(folder / DELIVERIES / sender, (home or folder) / SENDERS / f"{sender}.pub", expected[sender])
@@ -228,12 +228,12 @@ def find_refusals(
                 raise BadInput(f"it sent {delivery.kind!r}, expected {wanted!r}.")
             check_files(delivery, places[sender])
         except BadInput as error:
-            found[sender] = str(error)
+            refusals[sender] = str(error)
             continue
         acceptance, verdict = acceptance.offer(_offer(sender, delivery))
         if verdict.status == "rejected":
-            found[sender] = verdict.reason + _way_on(delivery, post["run"], expected[sender])
-    return found
+            refusals[sender] = verdict.reason + _way_on(delivery, post["run"], expected[sender])
+    return refusals
 
 
 def _load_signed(place: Path, key: Path, node: str) -> Delivery:

@@ -127,40 +127,44 @@ class ScoredImage:
 def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequence[str]:
     """Score the scene in inbox/ on the held-out photographs of this machine; writes scores.json and
     three pictures per photograph, and the owner of all of them support.safetensors."""
-    own, inbox = folder.parent if task.owned else folder, folder / "inbox"
-    places = read_json(own / OWN_NAME, ("images",))
+    machine_folder, inbox = folder.parent if task.owned else folder, folder / "inbox"
+    places = read_json(machine_folder / OWN_NAME, ("images",))
     images = Path(places["images"])
-    cameras, used = select_scored(load_cameras(own / HELD_OUT_NAME).scaled(task.long_side_px), own / MASKS, reporter.warn)
+    cameras, used = select_scored(
+        load_cameras(machine_folder / HELD_OUT_NAME).scaled(task.long_side_px), machine_folder / MASKS, reporter.warn
+    )
     photographs = [images / name for name in cameras.names]
-    leakage = _measure_leakage(own, images, task, reporter) if task.owned else None
+    leakage = _measure_leakage(machine_folder, images, task, reporter) if task.owned else None
     scene, (plan, _) = load_ply(inbox / SCENE_NAME), load_plan(inbox / "plan.json")
     training_images = Path(places.get("training_images", images))
     # By the photographs' own names, which EXIF is known by.
-    small = None if task.light == "none" else _trained_views(own, training_images, task)
-    light = _light_of_score(scene, cameras, small, own, task)
+    small = None if task.light == "none" else _trained_views(machine_folder, training_images, task)
+    light = _light_of_score(scene, cameras, small, machine_folder, task)
     if light is not None:
         reporter.decide(light.decision(reporter.stage))
     named = cameras
     if task.owned:
-        cameras = replace(cameras, names=tuple(scored_name(own.name, index) for index in range(len(cameras))))
-    views = HeldOutViews(cameras=cameras, photographs=photographs, used=used, initial=load_splats(own / INITIAL_NAME), light=light)
+        cameras = replace(cameras, names=tuple(scored_name(machine_folder.name, index) for index in range(len(cameras))))
+    views = HeldOutViews(
+        cameras=cameras, photographs=photographs, used=used, initial=load_splats(machine_folder / INITIAL_NAME), light=light
+    )
     lpips = load_lpips(inbox / LPIPS_NAME, task.lpips) if task.lpips else None
     rows, pictures = score_views(scene, views, task, lpips, folder, reporter)
-    trained = TrainedPhotographs(own=own, images=training_images, light=light)
+    trained = TrainedPhotographs(folder=machine_folder, images=training_images, light=light)
     errors = measure_borders(scene, plan, trained, task, reporter)
     if not task.owned:
-        save_support(folder / SUPPORT_NAME, _support(scene, own, task, reporter))
+        save_support(folder / SUPPORT_NAME, _support(scene, machine_folder, task, reporter))
     lights = dict.fromkeys(task.versions[:1], light)
     compared = {}
-    for done, name in enumerate(task.versions, 1):
-        compared[name] = _compare(name, inbox, named, (own, images, small), task, lights.get(name))
-        reporter.progress(done, len(task.versions), "versions of the scene")
+    for number, name in enumerate(task.versions, 1):
+        compared[name] = _compare(name, inbox, named, (machine_folder, images, small), task, lights.get(name))
+        reporter.progress(number, len(task.versions), "versions of the scene")
     borders = [asdict(error) for error in errors]
     write_json(folder / SCORES_NAME, {"images": rows, "borders": borders, "leakage": leakage, "versions": compared})
     if not task.owned:
         return [SCORES_NAME, SUPPORT_NAME, *pictures]
     # Checking a seal reads every file it lists, and the owner's process checks those of devices.
-    signed = deliver(folder, {SCORES_NAME: folder / SCORES_NAME}, "scores", own) if belongs_to_run(folder) else []
+    signed = deliver(folder, {SCORES_NAME: folder / SCORES_NAME}, "scores", machine_folder) if belongs_to_run(folder) else []
     return [SCORES_NAME, *signed]
 
 
@@ -174,13 +178,13 @@ def _compare(
 ) -> list[float]:
     """PSNR of a version of the scene in the photographs of held-out `cameras`, in the light that is
     predicted of them beside that version; `light` if that is known already."""
-    own, images, small = photographs
+    machine_folder, images, small = photographs
     scene = load_ply(inbox / (SCENE_NAME if name == task.versions[0] else version_file(name)))
-    light = light or _light_of_score(scene, cameras, small, own, task)
+    light = light or _light_of_score(scene, cameras, small, machine_folder, task)
     figures = []
     for start in range(0, len(cameras), NUM_LOADED):
         rows = np.arange(start, min(start + NUM_LOADED, len(cameras)))
-        views = load_training_views(images, cameras.select(rows), own / MASKS)
+        views = load_training_views(images, cameras.select(rows), machine_folder / MASKS)
         views = replace(views, cameras=_correct_cameras(views.cameras, task))
         figures += held_out_psnr_db(scene, views, task.backend, None if light is None else light.held_out.select(rows))
     return figures
@@ -219,12 +223,12 @@ def score_images(
     lights = None if views.light is None else views.light.held_out
     rendered = render_views(model, cameras, backend)
     untrained = repeat(None, len(cameras)) if views.initial is None else render_views(views.initial, views.cameras, backend)
-    for index, (own, before, path, used) in enumerate(zip(rendered, untrained, views.photographs, views.used, strict=True)):
-        view = own if lights is None else replace(own, image=show_in_light(own.image, lights, index, cameras))
+    for index, (render, before, path, used) in enumerate(zip(rendered, untrained, views.photographs, views.used, strict=True)):
+        view = render if lights is None else replace(render, image=show_in_light(render.image, lights, index, cameras))
         height, width = view.image.shape[:2]
         photograph = load_photograph(path, (width, height))
         row = _score_render(view, photograph, before=before, lpips=lpips, used=used)
-        yield ScoredImage(row=row, view=view, photograph=photograph, used=used, canonical=None if lights is None else own.image)
+        yield ScoredImage(row=row, view=view, photograph=photograph, used=used, canonical=None if lights is None else render.image)
 
 
 def _shown_in(lights: Lights, rendered: Iterator[RenderedView], cameras: Cameras) -> Iterator[RenderedView]:
@@ -235,9 +239,9 @@ def _shown_in(lights: Lights, rendered: Iterator[RenderedView], cameras: Cameras
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainedPhotographs:
-    """The photographs in `images` that a machine, whose files are in `own`, trained on."""
+    """The photographs in `images` that a machine, whose files are in `folder`, trained on."""
 
-    own: Path
+    folder: Path
     images: Path
     light: LightOfScore | None = None
     """As of `HeldOutViews`."""
@@ -247,52 +251,52 @@ def measure_borders(
     scene: Splats, plan: CloudPlan, trained: TrainedPhotographs, task: ScoreTask, reporter: EventReporter
 ) -> list[BorderError]:
     """Measure a scene at the plan's borders on photographs trained on, in the light of each."""
-    own, images, light = trained.own, trained.images, trained.light
+    folder, images, light = trained.folder, trained.images, trained.light
     if len(plan.sites) < 2:
         return []
-    cameras = _trained_cameras(own, task).scaled(task.long_side_px)
-    weights = pixel_weights(own / MASKS, cameras)
+    cameras = _trained_cameras(folder, task).scaled(task.long_side_px)
+    weights = pixel_weights(folder / MASKS, cameras)
 
     def render() -> Iterator[RenderedView]:
         rendered = render_views(scene, _correct_cameras(cameras, task), task.backend)
-        for done, view in enumerate(rendered if light is None else _shown_in(light.trained, rendered, cameras), 1):
-            reporter.progress(done, len(cameras), "training photographs at the borders")
+        for num_done, view in enumerate(rendered if light is None else _shown_in(light.trained, rendered, cameras), 1):
+            reporter.progress(num_done, len(cameras), "training photographs at the borders")
             yield view
 
     photographs = (
         load_photograph(images / name, (int(width), int(height)))
         for name, (width, height) in zip(cameras.names, cameras.sizes_wh, strict=True)
     )
-    used = None if weights is None else [used_pixels(each) for each in weights]
+    used = None if weights is None else [used_pixels(weight) for weight in weights]
     return list(border_errors(_correct_cameras(cameras, task), render(), photographs, plan, used))
 
 
-def _support(scene: Splats, own: Path, task: ScoreTask, reporter: EventReporter) -> Support:
+def _support(scene: Splats, folder: Path, task: ScoreTask, reporter: EventReporter) -> Support:
     """Which photographs that were trained on constrain each Gaussian, where one owner has them
     all: a device sees a part of the scene only."""
-    cameras = _correct_cameras(_trained_cameras(own, task), task).scaled(task.long_side_px)
+    cameras = _correct_cameras(_trained_cameras(folder, task), task).scaled(task.long_side_px)
 
-    def report(done: int, total: int) -> None:
-        reporter.progress(done, total, "which photographs constrain each Gaussian")
+    def report(num_done: int, total: int) -> None:
+        reporter.progress(num_done, total, "which photographs constrain each Gaussian")
 
     return support_of(scene, cameras, task.backend, report)
 
 
-def _trained_cameras(own: Path, task: ScoreTask) -> Cameras:
-    return load_scene(own / "scene.safetensors").cameras if task.owned else load_cameras(own / TRAINED_NAME)
+def _trained_cameras(folder: Path, task: ScoreTask) -> Cameras:
+    return load_scene(folder / "scene.safetensors").cameras if task.owned else load_cameras(folder / TRAINED_NAME)
 
 
-def _trained_views(own: Path, images: Path, task: ScoreTask) -> TrainingViews:
+def _trained_views(folder: Path, images: Path, task: ScoreTask) -> TrainingViews:
     """The photographs that this machine trained on, as small as light is compared in."""
-    trained = load_training_views(images, _trained_cameras(own, task).scaled(COMPARED_PX), own / MASKS)
+    trained = load_training_views(images, _trained_cameras(folder, task).scaled(COMPARED_PX), folder / MASKS)
     return replace(trained, cameras=_correct_cameras(trained.cameras, task))
 
 
-def _light_of_score(scene: Splats, held_out: Cameras, trained: TrainingViews | None, own: Path, task: ScoreTask) -> LightOfScore | None:
+def _light_of_score(scene: Splats, held_out: Cameras, trained: TrainingViews | None, folder: Path, task: ScoreTask) -> LightOfScore | None:
     """The light of this machine's photographs beside the scene's, by those it trained on."""
     if trained is None:
         return None
-    return light_of_score(scene, trained, _correct_cameras(held_out, task), load_captures(own), task.light, task.backend)
+    return light_of_score(scene, trained, _correct_cameras(held_out, task), load_captures(folder), task.light, task.backend)
 
 
 def _correct_cameras(cameras: Cameras, task: ScoreTask) -> Cameras:
@@ -302,15 +306,15 @@ def _correct_cameras(cameras: Cameras, task: ScoreTask) -> Cameras:
     return cameras
 
 
-def _measure_leakage(own: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> dict[str, float]:
+def _measure_leakage(folder: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> dict[str, float]:
     """PSNR and SSIM against its photographs of a device's model at its training poses, which its
     edge can render."""
-    cameras = load_scene(own / "scene.safetensors").cameras.scaled(task.long_side_px)
+    cameras = load_scene(folder / "scene.safetensors").cameras.scaled(task.long_side_px)
     figures = []
-    for done, view in enumerate(render_views(load_splats(own / MODEL_NAME), cameras, task.backend), 1):
-        photograph = load_images(images, cameras.select([done - 1]))[0] / 255.0
+    for number, view in enumerate(render_views(load_splats(folder / MODEL_NAME), cameras, task.backend), 1):
+        photograph = load_images(images, cameras.select([number - 1]))[0] / 255.0
         figures.append((psnr_db(view.image, photograph), ssim(view.image, photograph)))
-        reporter.progress(done, len(cameras), "synthetic views against photographs")
+        reporter.progress(number, len(cameras), "synthetic views against photographs")
     mean = np.mean(figures, axis=0)
     return {"psnr_db": float(mean[0]), "ssim": float(mean[1]), "num_images": len(figures)}
 
@@ -343,13 +347,13 @@ def select_scored(cameras: Cameras, masks: Path | None, warn: Callable[[str], No
     weights = pixel_weights(masks, cameras)
     if weights is None:
         return cameras, [None] * len(cameras)
-    used = [used_pixels(each) for each in weights]
-    left = np.array([inner_pixels(each).any() for each in used])
-    if not left.any():
+    used = [used_pixels(weight) for weight in weights]
+    has_pixels = np.array([inner_pixels(weight).any() for weight in used])
+    if not has_pixels.any():
         raise BadInput("the masks leave nothing of any held-out photograph to score: 0 is ignored, 255 is used.")
-    for name in np.array(cameras.names)[~left]:
+    for name in np.array(cameras.names)[~has_pixels]:
         warn(f"the mask of the held-out photograph {name} leaves nothing to score: it is left out")
-    return cameras.select(np.flatnonzero(left)), [each for each, scored in zip(used, left, strict=True) if scored]
+    return cameras.select(np.flatnonzero(has_pixels)), [weight for weight, scored in zip(used, has_pixels, strict=True) if scored]
 
 
 def summarize_scores(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | None) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def run_positions(folder: Path, task: PositionsTask, reporter: EventReporter) ->
     """
     photographs = Path(task.source)
     heads = photograph_heads(photographs)
-    found = {name: exif.lat_lon_alt for name, exif in heads.items()}
+    lat_lon_alt_of = {name: exif.lat_lon_alt for name, exif in heads.items()}
     content = read_folder(photographs)
     named = not task.owned
     doubts = doubts_warning({name: exif.position_doubt for name, exif in heads.items()}, len(heads), named=named)
@@ -73,22 +73,22 @@ def run_positions(folder: Path, task: PositionsTask, reporter: EventReporter) ->
         *sea_warning([exif.altitude_from_sea for exif in heads.values()]),
     ):
         reporter.warn(message)
-    copies = file_copies({name: photographs / name for name in found})
+    copies = file_copies({name: photographs / name for name in lat_lon_alt_of})
     if not task.owned:
         # A device reports its own copies after decoding: a broken file is no copy.
-        _warn_about_copies(len(copies), len(found), reporter)
-    low = [name for name, place in found.items() if place is not None and np.isnan(place[2])]
+        _warn_about_copies(len(copies), len(lat_lon_alt_of), reporter)
+    low = [name for name, place in lat_lon_alt_of.items() if place is not None and np.isnan(place[2])]
     if low:
-        counted = f"{len(low)} of {len(found)} photographs have GPS without altitude, and a device's frame needs one"
+        counted = f"{len(low)} of {len(lat_lon_alt_of)} photographs have GPS without altitude, and a device's frame needs one"
         reporter.warn(f"{counted}: they count as without a position.")
-    found = {name: None if name in low else place for name, place in found.items() if name not in copies}
+    lat_lon_alt_of = {name: None if name in low else place for name, place in lat_lon_alt_of.items() if name not in copies}
     if task.cell_m is None:
-        write_json(folder / "positions.json", {"photographs": found})
+        write_json(folder / "positions.json", {"photographs": lat_lon_alt_of})
         return ["positions.json"]
     held_out = set(task.held_out)
-    placed = {name: place for name, place in found.items() if place is not None}
+    placed = {name: place for name, place in lat_lon_alt_of.items() if place is not None}
     training = np.array([place for name, place in placed.items() if name not in held_out], np.float64).reshape(-1, 3)
-    counts = {"num_photographs": len(found), "num_unplaced": len(found) - len(placed)}
+    counts = {"num_photographs": len(lat_lon_alt_of), "num_unplaced": len(lat_lon_alt_of) - len(placed)}
     write_json(folder / "raster.json", {**raster_record(training, task.cell_m), **counts})
     return ["raster.json"]
 
@@ -119,11 +119,11 @@ def run_field(folder: Path, task: FieldTask, reporter: EventReporter) -> Sequenc
     photographs = _photographs_key(task.placing)
     key = content_key(__version__, task_key(replace(task, changed=())), photographs, *_poses_in(folder))
     made_from = {"key": key, "photographs": photographs}
-    kept = _reuse_model(folder, made_from, reporter)
-    made = kept if kept is not None else _make_model(folder, task, photographs, reporter)
+    reused = _reuse_model(folder, made_from, reporter)
+    names = reused if reused is not None else _make_model(folder, task, photographs, reporter)
     write_json(folder / MADE_FROM, made_from)
     uploaded = sign_upload(folder) if read_json(folder / "frame.json", ("status",))["status"] == "placed" else []
-    return [*made, MADE_FROM, *uploaded]
+    return [*names, MADE_FROM, *uploaded]
 
 
 def _reuse_model(folder: Path, made_from: dict[str, str], reporter: EventReporter) -> Sequence[str] | None:
@@ -144,8 +144,8 @@ def _make_model(folder: Path, task: FieldTask, photographs: str, reporter: Event
     """Place and train a device; returns its files."""
     try:
         placed = _place_once(folder, task.placing, photographs, reporter)
-        held = np.isin(placed.scene.cameras.names, task.placing.held_out)
-        training = placed.scene.restricted_to(np.flatnonzero(~held))
+        is_held_out = np.isin(placed.scene.cameras.names, task.placing.held_out)
+        training = placed.scene.restricted_to(np.flatnonzero(~is_held_out))
         if len(training.cameras) < 2:
             raise BadInput(f"{len(training.cameras)} of its training photographs could be placed, expected at least 2.")
         from radiant_core.hierarchy.messages import device_task
@@ -164,7 +164,7 @@ def _make_model(folder: Path, task: FieldTask, photographs: str, reporter: Event
     assert model.initial is not None
     save_splats(folder / INITIAL_NAME, model.initial)
     save_scene(folder / "scene.safetensors", training)
-    save_cameras(folder / HELD_OUT_NAME, placed.scene.cameras.select(held))
+    save_cameras(folder / HELD_OUT_NAME, placed.scene.cameras.select(is_held_out))
     frame = save_frame(folder, placed.uncertainty)
     write_json(folder / OWN_NAME, {"images": str(placed.images)})
     photos = folder / "photos" if task.placing.fetch else Path(task.placing.source)
@@ -277,8 +277,8 @@ def _place_by_poses(folder: Path, photos: Path, task: PlacingTask, reporter: Eve
     if task.poses == "poses.safetensors":
         cameras = load_cameras(folder / "poses.safetensors")
     else:
-        given = folder / (task.poses or "poses")
-        cameras, photos = pinhole_photographs(given, photos, folder / "pinhole", config.threads, reporter.sfm_progress)
+        poses_folder = folder / (task.poses or "poses")
+        cameras, photos = pinhole_photographs(poses_folder, photos, folder / "pinhole", config.threads, reporter.sfm_progress)
     num_given = len(cameras)
     cameras, _ = without_copies(cameras, photos)
     config, decisions = limit_to_memory(config, [(int(width), int(height)) for width, height in cameras.sizes_wh])

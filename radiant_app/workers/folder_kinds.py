@@ -42,8 +42,8 @@ def kind_of(folder: Path) -> FolderKind | None:
 def require_photographs(source: Path) -> None:
     """Raise BadInput, naming what it is, for a source that is no folder or one of another kind."""
     if not source.is_dir():
-        what = "but a model" if source.suffix.lower() in MODEL_SUFFIXES and source.is_file() else ""
-        raise BadInput(f"{' '.join(filter(None, (str(source), 'is no folder', what)))}: give {PHOTOGRAPHS}.")
+        correction = "but a model" if source.suffix.lower() in MODEL_SUFFIXES and source.is_file() else ""
+        raise BadInput(f"{' '.join(filter(None, (str(source), 'is no folder', correction)))}: give {PHOTOGRAPHS}.")
     if _holds_photographs(source):
         return
     kind = kind_of(source)
@@ -70,12 +70,12 @@ def _holds_photographs(folder: Path) -> bool:
 
 def _run(folder: Path, holds: set[str]) -> FolderKind:
     trained = "plan.json" not in holds and "devices" not in holds
-    what = "training" if trained else "run"
+    noun = "training" if trained else "run"
     try:
-        done = read_json(folder / "manifest.json").get("status") == "done"
+        is_finished = read_json(folder / "manifest.json").get("status") == "done"
     except (RadiantError, AttributeError):
-        done = False
+        is_finished = False
     # A training has no status: its figures come last.
-    if done or (trained and "metrics.json" in holds):
-        return FolderKind(f"a finished {what}", f"`radiant inspect {folder}` shows it, `radiant export {folder}` writes its model")
-    return FolderKind(f"an unfinished {what}", f"give the photographs it was made from, and --out {folder} --resume to go on with it")
+    if is_finished or (trained and "metrics.json" in holds):
+        return FolderKind(f"a finished {noun}", f"`radiant inspect {folder}` shows it, `radiant export {folder}` writes its model")
+    return FolderKind(f"an unfinished {noun}", f"give the photographs it was made from, and --out {folder} --resume to go on with it")

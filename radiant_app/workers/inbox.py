@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from radiant_app.strangers import Told, parse_record
+from radiant_app.strangers import UntrustedRecord, parse_record
 from radiant_app.workers.delivering import belongs_to_run, find_refusals
 from radiant_app.workers.tasks import Move
 from radiant_core.frames import FrameUncertainty, Sim3
@@ -55,5 +55,5 @@ def load_corrections(folder: Path) -> dict[str, Sim3 | None]:
     return {name: None if move is None else move.sim3 for name, move in moves.items()}
 
 
-class _Corrections(Told):
+class _Corrections(UntrustedRecord):
     moves: dict[str, Move | None]

@@ -87,18 +87,18 @@ def _container_bytes(proc: Path, groups: Path) -> Iterator[int]:
         lines = [line.split(":", 2) for line in (proc / "self" / "cgroup").read_text().splitlines()]
     except OSError:
         return
-    for number, controllers, own in (line for line in lines if len(line) == 3):
+    for number, controllers, group in (line for line in lines if len(line) == 3):
         if number == "0":
             # Where the older version has controllers too, this one is mounted beside them.
             for root in (groups, groups / "unified"):
-                yield from _group_bytes(root, own, ("memory.max", "memory.high"), ("memory.current", "inactive_file"))
+                yield from _group_bytes(root, group, ("memory.max", "memory.high"), ("memory.current", "inactive_file"))
         elif "memory" in controllers.split(","):
-            yield from _group_bytes(groups / "memory", own, ("memory.limit_in_bytes",), ("memory.usage_in_bytes", "total_inactive_file"))
+            yield from _group_bytes(groups / "memory", group, ("memory.limit_in_bytes",), ("memory.usage_in_bytes", "total_inactive_file"))
 
 
-def _group_bytes(root: Path, own: str, limits: Sequence[str], use: tuple[str, str]) -> Iterator[int]:
+def _group_bytes(root: Path, group_path: str, limits: Sequence[str], use: tuple[str, str]) -> Iterator[int]:
     # A container sees its own group at the root, whatever path the group has outside.
-    group = root / own.strip("/")
+    group = root / group_path.strip("/")
     for folder in (group, *group.parents):
         if not folder.is_relative_to(root):
             return

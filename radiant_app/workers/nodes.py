@@ -116,12 +116,12 @@ def run_sfm(folder: Path, task: SfmTask, reporter: EventReporter) -> Sequence[st
         reporter.warn(message)
     save_scene(folder / "scene.safetensors", result.scene)
     write_json(folder / "result.json", sfm_record(result, folder))
-    given = save_given_frames(folder, result)
+    frame_files = save_given_frames(folder, result)
     # What is undistorted has lost its EXIF.
     captures = save_captures(folder, read_captures(photographs_of_task(task, folder), result.scene.cameras.names))
     # Images that were pinhole already stay outside this folder and are not sealed.
-    own = [path for name in ("undistorted", "readable", MASKS) for path in sorted((folder / name).rglob("*")) if path.is_file()]
-    return ["scene.safetensors", "result.json", *given, captures, *(str(path.relative_to(folder)) for path in own)]
+    own_files = [path for name in ("undistorted", "readable", MASKS) for path in sorted((folder / name).rglob("*")) if path.is_file()]
+    return ["scene.safetensors", "result.json", *frame_files, captures, *(str(path.relative_to(folder)) for path in own_files)]
 
 
 def run_device(folder: Path, task: DeviceTask, reporter: EventReporter) -> Sequence[str]:

@@ -44,13 +44,13 @@ class OwnPhotographs:
 
     def held_out(self, first: int) -> tuple[str, ...]:
         """The names that are held out, in the order of `names`."""
-        held = set(sorted(self.names)[first::HELD_OUT_EVERY])
-        return tuple(name for name in self.names if name in held)
+        held_out = set(sorted(self.names)[first::HELD_OUT_EVERY])
+        return tuple(name for name in self.names if name in held_out)
 
     def trained_on(self, first: int) -> tuple[str, ...]:
         """The other names."""
-        held = set(self.held_out(first))
-        return tuple(name for name in self.names if name not in held)
+        held_out = set(self.held_out(first))
+        return tuple(name for name in self.names if name not in held_out)
 
 
 def save_own_source(folder: Path, photographs: Path, poses: Path | None) -> None:
@@ -84,14 +84,14 @@ def run_count(folder: Path, task: CountTask, reporter: EventReporter) -> Sequenc
 
 def run_raster(folder: Path, task: RasterTask, reporter: EventReporter) -> Sequence[str]:
     """Count the photographs of the device in the folder above that it trains on, in cells."""
-    own = find_own(folder.parent, task.frames)
-    if own.poses is None:
-        held_out = own.held_out(task.first_held_out)
-        asked = PositionsTask(source=str(own.folder), cell_m=task.cell_m, held_out=held_out, owned=True)
-        return run_positions(folder, asked, reporter)
-    centers = own.poses.cameras.named(own.trained_on(task.first_held_out)).centers
+    photographs = find_own(folder.parent, task.frames)
+    if photographs.poses is None:
+        held_out = photographs.held_out(task.first_held_out)
+        positions_task = PositionsTask(source=str(photographs.folder), cell_m=task.cell_m, held_out=held_out, owned=True)
+        return run_positions(folder, positions_task, reporter)
+    centers = photographs.poses.cameras.named(photographs.trained_on(task.first_held_out)).centers
     cells, numbers = np.unique(middles_of_cells(centers[:, :2], task.cell_m), axis=0, return_counts=True)
-    record: dict[str, Any] = {"num_photographs": len(own.names), "num_unplaced": 0, "altitude_m": None}
+    record: dict[str, Any] = {"num_photographs": len(photographs.names), "num_unplaced": 0, "altitude_m": None}
     record["cells"] = [[float(x), float(y), int(number)] for (x, y), number in zip(cells, numbers, strict=True)]
     write_json(folder / RASTER_NAME, record)
     return [RASTER_NAME]
@@ -99,22 +99,22 @@ def run_raster(folder: Path, task: RasterTask, reporter: EventReporter) -> Seque
 
 def run_own_field(folder: Path, task: OwnFieldTask, reporter: EventReporter) -> Sequence[str]:
     """Structure from motion, frame and model of the device's own photographs, see `run_field`."""
-    own = find_own(folder, task.frames)
-    names, held_out = own.trained_on(task.first_held_out), own.held_out(task.first_held_out)
-    if own.poses is not None:
-        for message in own.poses.unnamed_notes:
+    photographs = find_own(folder, task.frames)
+    names, held_out = photographs.trained_on(task.first_held_out), photographs.held_out(task.first_held_out)
+    if photographs.poses is not None:
+        for message in photographs.poses.unnamed_notes:
             reporter.warn(message)
         (folder / OWN_POSES).parent.mkdir(exist_ok=True)
-        own.poses.deal([*names, *held_out], (folder / OWN_POSES).parent)
+        photographs.poses.deal([*names, *held_out], (folder / OWN_POSES).parent)
     placing = PlacingTask(
         frames=task.frames,
-        source=str(own.folder),
+        source=str(photographs.folder),
         names=names,
         held_out=held_out,
         fetch=False,
         origin=task.origin,
         sfm=task.sfm,
-        poses=None if own.poses is None else OWN_POSES,
+        poses=None if photographs.poses is None else OWN_POSES,
     )
-    settings = {each.name: getattr(task, each.name) for each in fields(DeviceSettings)}
+    settings = {field.name: getattr(task, field.name) for field in fields(DeviceSettings)}
     return run_field(folder, FieldTask(placing=placing, changed=(), **settings), reporter)

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from radiant_app.strangers import WRONG, Told, parse_record
+from radiant_app.strangers import WRONG, UntrustedRecord, parse_record
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 
@@ -28,7 +28,7 @@ Place = Annotated[float, Field(ge=-MOST_UNITS, le=MOST_UNITS)]
 Cell = tuple[Place, Place, Annotated[int, Field(ge=1, le=MAX_PHOTOGRAPHS)]]
 
 
-class Raster(Told):
+class Raster(UntrustedRecord):
     """Cells as [latitude, longitude, count], or [x, y, count] in the frame of given poses."""
 
     cells: Annotated[tuple[Cell, ...], Field(max_length=MAX_PHOTOGRAPHS)]
@@ -68,7 +68,7 @@ class Raster(Told):
         return np.repeat(middles, cells[:, 2].astype(np.int64), axis=0)
 
 
-class _Count(Told):
+class _Count(UntrustedRecord):
     num_photographs: Photographs
 
 

@@ -33,7 +33,7 @@ class Redactor:
     notes: Path
     source: Path | None = None
     """The device's own folder of photographs; None: nothing is redacted."""
-    given: tuple[str, ...] = ()
+    names_in_task: tuple[str, ...] = ()
     """Names of photographs in its task."""
 
     @cached_property
@@ -41,7 +41,9 @@ class Redactor:
         """Matches lists of names, each verbatim or as Python and JSON escape it."""
         if self.source is None:
             return None
-        names = {text for path in self.source.rglob("*") for text in (path.relative_to(self.source).as_posix(), path.name)} | {*self.given}
+        names = {text for path in self.source.rglob("*") for text in (path.relative_to(self.source).as_posix(), path.name)} | {
+            *self.names_in_task
+        }
         written = {text for name in names for text in (name, repr(name)[1:-1], ascii(name)[1:-1])}
         # The longest first: a name may be a prefix of another.
         one = "|".join(re.escape(text) for text in sorted(written, key=lambda text: (-len(text), text)))
@@ -96,5 +98,5 @@ def make_redactor(kind: str, folder: Path) -> Redactor:
     if not isinstance(source, str) or task.get("fetch", False):
         return Redactor(notes=notes)
     listed = [names for key in ("names", "held_out") if isinstance(names := task.get(key), list)]
-    given = tuple(name for names in listed for name in names if isinstance(name, str) and name)
-    return Redactor(notes=notes, source=Path(source), given=given)
+    listed_names = tuple(name for names in listed for name in names if isinstance(name, str) and name)
+    return Redactor(notes=notes, source=Path(source), names_in_task=listed_names)

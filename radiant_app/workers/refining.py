@@ -53,9 +53,9 @@ def run_refine(folder: Path, task: RefineNodeTask, reporter: EventReporter) -> S
     from radiant_core.train.photographs import load_training_views
     from radiant_core.train.worth import worth_training
 
-    own, scene = folder.parent, load_ply(folder / "scene.ply")
-    placed = load_scene(own / "scene.safetensors")
-    views = load_training_views(photographs_of(own), placed.cameras.scaled(task.train.long_side_px), own / MASKS)
+    device_folder, scene = folder.parent, load_ply(folder / "scene.ply")
+    placed = load_scene(device_folder / "scene.safetensors")
+    views = load_training_views(photographs_of(device_folder), placed.cameras.scaled(task.train.long_side_px), device_folder / MASKS)
     # As in training: what repeats another one or is blurred says nothing.
     _, views, _ = worth_training(placed, views, task.train)
     views = replace(views, cameras=correct_cameras(views.cameras, task.corrections))
@@ -75,18 +75,20 @@ def run_average(folder: Path, task: AverageTask, reporter: EventReporter) -> Seq
     shutil.rmtree(folder / COUNTED, ignore_errors=True)
 
     def admitted() -> Iterator[Refinement]:
-        for name, each in _receive(folder, task, scene, refused, reporter):
+        for name, refinement in _receive(folder, task, scene, refused, reporter):
             if number := counted_in[name]:
-                shown = _load_shown(Path(refined_at(str(folder.parent), number)) / counted_file(name), scene)
+                counts = _load_shown(Path(refined_at(str(folder.parent), number)) / counted_file(name), scene)
             else:
                 cameras = correct_cameras(load_cameras(inbox / name / CAMERAS_NAME), moves[name]).scaled(task.long_side_px)
-                shown = _count_shown(folder / counted_file(name), scene, cameras, task)
-            kept = admit_refinement(each, scene, shown)
-            if len(kept.rows) < MIN_ADMITTED * len(each.rows):
-                reporter.warn(f"of the refinement of {name} {len(kept.rows):,} of {len(each.rows):,} Gaussians count: {NOT_ADMITTED}")
-            if len(each.rows) and not len(kept.rows):
-                refused[name] = f"none of its {len(each.rows):,} Gaussians counts: {NOT_ADMITTED}"
-            yield kept
+                counts = _count_shown(folder / counted_file(name), scene, cameras, task)
+            admitted_part = admit_refinement(refinement, scene, counts)
+            if len(admitted_part.rows) < MIN_ADMITTED * len(refinement.rows):
+                reporter.warn(
+                    f"of the refinement of {name} {len(admitted_part.rows):,} of {len(refinement.rows):,} Gaussians count: {NOT_ADMITTED}"
+                )
+            if len(refinement.rows) and not len(admitted_part.rows):
+                refused[name] = f"none of its {len(refinement.rows):,} Gaussians counts: {NOT_ADMITTED}"
+            yield admitted_part
 
     refinement = join_refinements(admitted(), scene)
     write_json(folder / REFUSED_NAME, refused)
@@ -101,20 +103,20 @@ def run_finish(folder: Path, task: FinishTask, reporter: EventReporter) -> Seque
     refused: dict[str, str] = {}
 
     def admitted() -> Iterator[Refinement]:
-        for _, each in _receive(folder, task, scene, refused, reporter):
-            counts.append(len((kept := admit_refinement(each, scene)).rows))
-            yield kept
+        for _, refinement in _receive(folder, task, scene, refused, reporter):
+            counts.append(len((admitted_part := admit_refinement(refinement, scene)).rows))
+            yield admitted_part
 
     made_before = load_ply(folder / KEPT_SCENE) if (folder / KEPT_SCENE).is_file() else None
     refined = refine_scene(scene, admitted(), made_before)
     del made_before
     reporter.decide(refinement_decision(reporter.stage, counts, scene))
     write_json(folder / REFUSED_NAME, refused)
-    made = {REFINED_SCENE: refined} | ({NEXT_SCENE: start_of_next_round(scene, refined)} if task.another_round else {})
-    for name, splats in made.items():
+    files = {REFINED_SCENE: refined} | ({NEXT_SCENE: start_of_next_round(scene, refined)} if task.another_round else {})
+    for name, splats in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         save_ply(folder / name, splats)
-    return [*made, REFUSED_NAME]
+    return [*files, REFUSED_NAME]
 
 
 def counted_file(device: str) -> str:
@@ -143,15 +145,15 @@ def _count_shown(path: Path, scene: Splats, cameras: Cameras, task: AverageTask)
     # At the cloud, and in later rounds, averaging needs no torch.
     from radiant_core.evaluate.shown_pixels import count_shown_photographs
 
-    shown = count_shown_photographs(scene, cameras, task.backend).astype(np.float32)
+    counts = count_shown_photographs(scene, cameras, task.backend).astype(np.float32)
     path.parent.mkdir(exist_ok=True)
-    save_arrays(path, COUNTED_SCHEMA, {"photographs": shown}, {"joined": task.joined})
-    return shown
+    save_arrays(path, COUNTED_SCHEMA, {"photographs": counts}, {"joined": task.joined})
+    return counts
 
 
-def photographs_of(own: Path) -> Path:
-    """The folder of the photographs that the device in the folder `own` trained on."""
-    return Path(read_json(own / OWN_NAME, ("images",))["images"]) if (own / OWN_NAME).is_file() else own / "photos"
+def photographs_of(folder: Path) -> Path:
+    """The folder of the photographs that the device in `folder` trained on."""
+    return Path(read_json(folder / OWN_NAME, ("images",))["images"]) if (folder / OWN_NAME).is_file() else folder / "photos"
 
 
 def correct_cameras(cameras: Cameras, corrections: Sequence[Move]) -> Cameras:

@@ -25,7 +25,7 @@ from radiant_core.plan.system import Edge, System
 
 def regions_task(raster: CountRaster, system: System, method: PlanMethod, paper: PaperConfig | None = None) -> RegionsTask:
     """All that the cloud receives: the raster and the position, curve and capacity of each edge."""
-    known = system_without_devices(system, int(raster.counts.sum()))
+    total_system = system_without_devices(system, int(raster.counts.sum()))
     edges = [
         PlannedEdge(
             id=edge.id,
@@ -34,7 +34,7 @@ def regions_task(raster: CountRaster, system: System, method: PlanMethod, paper:
             time_s=edge.time_s or CostCurve(),
             max_cameras=edge.max_cameras,
         )
-        for edge in known.edges
+        for edge in total_system.edges
     ]
     cells = tuple((int(x), int(y)) for x, y in raster.cells)
     counts = tuple(int(count) for count in raster.counts)

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, FiniteFloat, TypeAdapter, model_validator
 
-from radiant_app.strangers import Told, parse_record
+from radiant_app.strangers import UntrustedRecord, parse_record
 from radiant_core.choices import Version
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.seam_excess import BorderError
@@ -38,7 +38,7 @@ _VERSIONS = TypeAdapter(dict[Version, tuple[FiniteFloat, ...]])
 BorderDb = Annotated[float, Field(ge=-WORST_BORDER_DB, le=0.001)]
 
 
-class ImageScore(Told):
+class ImageScore(UntrustedRecord):
     """One photograph: its name, or its number on a device, and the figures of `image_error`."""
 
     name: str = Field(min_length=1, max_length=4096)
@@ -53,14 +53,14 @@ class ImageScore(Told):
     used_share: Share | None = None
 
 
-class _Border(Told):
+class _Border(UntrustedRecord):
     side: str = Field(max_length=64)
     beyond: str = Field(max_length=64)
     before_db: BorderDb
     beyond_db: BorderDb
 
 
-class Leakage(Told):
+class Leakage(UntrustedRecord):
     """How much a device's model shows of the photographs that it was trained on."""
 
     psnr_db: Db
@@ -68,7 +68,7 @@ class Leakage(Told):
     num_images: int = Field(ge=1, le=10**8)
 
 
-class Scores(Told):
+class Scores(UntrustedRecord):
     """What stands in scores.json."""
 
     images: tuple[ImageScore, ...]
@@ -168,19 +168,19 @@ def scored_name(device: str, index: int) -> str:
 
 
 def admit_scores(
-    said: Mapping[str, Path | Scores], claimable: Callable[[str], Claimable], warn: Callable[[str, str], None]
+    reported: Mapping[str, Path | Scores], claimable: Callable[[str], Claimable], warn: Callable[[str, str], None]
 ) -> dict[str, Scores]:
     """The scores of devices that can have what they say, each photograph with at most `BEST_DB`.
 
     Args:
-        said: device → its file, or its scores.
+        reported: device → its file, or its scores.
         claimable: what a device can score by the plan.
         warn: hears a device and why its figures are left out, or bounded.
     """
     admitted: dict[str, Scores] = {}
-    for device, own in said.items():
+    for device, device_scores in reported.items():
         try:
-            scores = read_scores(own) if isinstance(own, Path) else own
+            scores = read_scores(device_scores) if isinstance(device_scores, Path) else device_scores
         except BadInput as error:
             warn(device, f"the figures of this device are left out: {error}")
             continue

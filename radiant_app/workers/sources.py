@@ -89,19 +89,19 @@ def notes_on_source(source: Path, poses: Path | None = None) -> tuple[str, ...]:
     """What a source holds that is not used although it could be; names no photograph."""
     kind = detect_source(source, poses)[0]
     if kind == "film":
-        left = find_alignments(source) if source.is_dir() else ()
-        listed = ", ".join(path.relative_to(source).as_posix() for path in left)
-        return (f"not used: {listed}, since the frames of a film are placed by themselves.",) if left else ()
+        alignments = find_alignments(source) if source.is_dir() else ()
+        listed = ", ".join(path.relative_to(source).as_posix() for path in alignments)
+        return (f"not used: {listed}, since the frames of a film are placed by themselves.",) if alignments else ()
     if kind != "mill19":
         return notes_on_project(source) if poses is None and kind != "alignment" else ()
     unused = [path.name for path in (source / "images", source / "sparse") if path.is_dir()]
     return (f"train/metadata makes {source.name} a Mill 19 folder; not used: {', '.join(unused)}.",) if unused else ()
 
 
-def list_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
-    """Name, size and modification time of the source's files, without the run `own` inside it."""
-    own = own.resolve()
-    files = [path for path in source.rglob("*") if path.is_file() and not path.resolve().is_relative_to(own)]
+def list_files(source: Path, excluded: Path) -> list[tuple[str, int, int]]:
+    """Name, size and modification time of the source's files, but of those in `excluded`."""
+    excluded = excluded.resolve()
+    files = [path for path in source.rglob("*") if path.is_file() and not path.resolve().is_relative_to(excluded)]
     return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
@@ -143,9 +143,9 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
     from radiant_core.sfm.masks_in_use import masks_in_use
 
     prepared = prepare_photographs(task, folder, report)
-    given = None if task.masks is None else Path(task.masks)
+    task_masks = None if task.masks is None else Path(task.masks)
     names = photograph_names(prepared.images)
-    with masks_in_use(given, task.intake.mask_ignores, prepared.images, names, folder) as masks:
+    with masks_in_use(task_masks, task.intake.mask_ignores, prepared.images, names, folder) as masks:
         cut, masks_folder = faces_of(task, prepared, masks.folder, folder, report)
         result = _reconstruct(task, cut, masks_folder, folder, report)
     prepared = replace(cut, decisions=(*prepared.decisions, *cut.decisions), warnings=(*prepared.warnings, *cut.warnings))
@@ -179,13 +179,13 @@ def prepare_photographs(task: SfmTask, folder: Path, report: Callable[[SfmProgre
     from radiant_core.io.film.formats import films_in
     from radiant_core.io.film.frames import take_frames
 
-    taken = take_frames(
+    frames = take_frames(
         films_in(images),
         folder / FRAMES,
         task.intake.film_frames,
-        lambda phase, done, total: report(SfmProgress(phase=phase, done=done, total=total)),
+        lambda phase, num_done, total: report(SfmProgress(phase=phase, done=num_done, total=total)),
     )
-    return PreparedPhotographs(kind="photographs", images=taken.folder, model=None, decisions=(taken.decision,), warnings=taken.warnings)
+    return PreparedPhotographs(kind="photographs", images=frames.folder, model=None, decisions=(frames.decision,), warnings=frames.warnings)
 
 
 def faces_of(
@@ -202,10 +202,10 @@ def faces_of(
         if prepared.kind != "alignment":
             shutil.rmtree(folder / FACES, ignore_errors=True)
         return replace(prepared, decisions=(), warnings=()), masks
-    found = find_panoramas(prepared.images, names, task.intake.panoramas)
-    if not found.names:
+    panoramas = find_panoramas(prepared.images, names, task.intake.panoramas)
+    if not panoramas.names:
         shutil.rmtree(folder / FACES, ignore_errors=True)
-        return replace(prepared, decisions=(), warnings=found.warnings), masks
+        return replace(prepared, decisions=(), warnings=panoramas.warnings), masks
     return _cut(task, prepared, masks, folder, report)
 
 
@@ -221,19 +221,19 @@ def _cut(
         prepared.images,
         names,
         folder / FACES,
-        lambda done, total: report(SfmProgress(phase="cutting panoramas", done=done, total=total)),
+        lambda num_done, total: report(SfmProgress(phase="cutting panoramas", done=num_done, total=total)),
     )
     if masks is not None:
         sizes = {name: size_wh for name in names if (size_wh := photograph_size_wh(prepared.images / name)) is not None}
         cut_masks(find_masks(masks, names), sizes, folder / FACE_MASKS, faces)
         masks = folder / FACE_MASKS
-    said = f"{len(names)} photographs are panoramas: each becomes {len(faces.rig.faces)} faces of {faces.size_px} px, placed as one rig."
+    note = f"{len(names)} photographs are panoramas: each becomes {len(faces.rig.faces)} faces of {faces.size_px} px, placed as one rig."
     return PreparedPhotographs(
         kind="photographs",
         images=faces.folder,
         model=None,
         decisions=(faces.decision(len(names), forced=task.intake.panoramas == "all"),),
-        warnings=(said,),
+        warnings=(note,),
     ), masks
 
 
@@ -256,21 +256,21 @@ def _reconstruct(
     if kind == "colmap":
         assert model is not None
         if task.refine_poses:
-            given = Alignment(path=model, photos=images, refine_poses=True)
-            return _named_model(model, scene_from_rough_colmap(given, folder, report, masks, task.placement))
+            alignment = Alignment(path=model, photos=images, refine_poses=True)
+            return _named_model(model, scene_from_rough_colmap(alignment, folder, report, masks, task.placement))
         return _named_model(model, scene_from_colmap(model, images, folder, report, masks, task.placement))
     if kind == "alignment":
         assert model is not None
-        given = Alignment(path=model, photos=images, refine_poses=task.refine_poses)
+        alignment = Alignment(path=model, photos=images, refine_poses=task.refine_poses)
         try:
-            return scene_from_alignment(given, folder, report, masks, task.placement)
+            return scene_from_alignment(alignment, folder, report, masks, task.placement)
         except NoAlignment as error:
             if task.poses is not None:
                 raise
             raise BadInput(f"{error} It lies beside the photographs: --poses {NO_POSES} leaves it aside.") from None
     if task.refine_poses:
-        what = "a Mill 19 folder, whose poses are used as they are" if kind == "mill19" else "photographs without an alignment"
-        raise BadInput(f"{images} is {what}: leave out --refine-poses, or name the poses to adjust with --poses.")
+        subject = "a Mill 19 folder, whose poses are used as they are" if kind == "mill19" else "photographs without an alignment"
+        raise BadInput(f"{images} is {subject}: leave out --refine-poses, or name the poses to adjust with --poses.")
     if kind == "mill19":
         if replace(task.placement, contradictions="stop") != Placement():
             raise BadInput(
@@ -284,8 +284,8 @@ def _named_model(model: Path, result: SfmResult) -> SfmResult:
     """The result with a first line that says which COLMAP model was used, as those of alignments
     have."""
     name = f"sparse/{model.name}" if model.parent.name == "sparse" else model.name
-    said = f"{name} of COLMAP gives the poses of {len(result.scene.cameras)} photographs and {len(result.scene.points)} points."
-    return replace(result, warnings=(said, *result.warnings))
+    note = f"{name} of COLMAP gives the poses of {len(result.scene.cameras)} photographs and {len(result.scene.points)} points."
+    return replace(result, warnings=(note, *result.warnings))
 
 
 def save_given_frames(folder: Path, result: SfmResult) -> list[str]:

@@ -54,10 +54,10 @@ def make_machine(folder: Path, checkpoint_every_s: float, reporter: EventReporte
     from radiant_core.train.checkpoint import CheckpointFolder
 
     def checkpoints(key: Callable[[], str]) -> CheckpointFolder:
-        kept = CheckpointFolder(folder / CHECKPOINTS, key(), every_s=checkpoint_every_s, warn=reporter.warn)
+        checkpoint_folder = CheckpointFolder(folder / CHECKPOINTS, key(), every_s=checkpoint_every_s, warn=reporter.warn)
         # Checkpoints of an older plan or other settings.
-        kept.remove_foreign()
-        return kept
+        checkpoint_folder.remove_foreign()
+        return checkpoint_folder
 
     base_bytes = base_bytes_in(folder, resident_bytes()) if limited else 0
     num_edges = int(os.environ.get(EDGES_AT_ONCE, "1"))

@@ -87,7 +87,7 @@ def receive(folder: Path, devices: Sequence[str]) -> None:
         idle, hashes = _rss_bytes("VmRSS"), {}
         print("listening", flush=True)
         while len(hashes) < len(digests):
-            said = hub.said.get()
+            said = hub.messages.get()
             if said.received:
                 hub.install(said.digest)
                 hub.accept(said.digest)

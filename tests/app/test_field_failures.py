@@ -103,7 +103,7 @@ def test_a_device_that_fails_names_no_photograph(hamlet: Path, tmp_path: Path) -
 def test_whatever_a_device_says_is_without_its_names(tmp_path: Path) -> None:
     for name in ("a.jpg", "a.jpg.png", "night\n.jpg", "zoo.jpg"):
         (tmp_path / name).touch()
-    names = Redactor(notes=tmp_path / NOTES_NAME, source=tmp_path, given=("gone.jpg",))
+    names = Redactor(notes=tmp_path / NOTES_NAME, source=tmp_path, names_in_task=("gone.jpg",))
     decision = Decision(stage="devices/a.jpg", topic="a.jpg", choice="left out: a.jpg, zoo.jpg", figure=1.0, unit="px", reason="(gone.jpg)")
     hidden = names.redact_event(Decided(decision=decision))
     assert isinstance(hidden, Decided) and hidden.decision.stage == "devices/a.jpg"

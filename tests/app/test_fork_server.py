@@ -35,7 +35,7 @@ Start = Callable[..., ForkedProcess]
 @pytest.fixture
 def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start]:
     """Start the lines of a module; servers end with the test."""
-    monkeypatch.setattr(fork_server, "_kept", type(fork_server._kept)())
+    monkeypatch.setattr(fork_server, "_open_servers", type(fork_server._open_servers)())
     started: list[ForkedProcess] = []
 
     def start(lines: str, *arguments: str, names: tuple[str, ...] = NAMES, **variables: str) -> ForkedProcess:
@@ -63,7 +63,7 @@ def children_cpu_s() -> float:
 
 
 def only_server() -> ForkServer:
-    (server,) = fork_server._kept.servers.values()
+    (server,) = fork_server._open_servers.servers.values()
     assert server is not None
     return server
 
@@ -98,7 +98,7 @@ def test_an_error_and_a_signal_end_it_as_they_end_any_process(start: Start, tmp_
 
 
 def test_what_forks_compute_counts_for_the_process_that_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fork_server, "_kept", type(fork_server._kept)())
+    monkeypatch.setattr(fork_server, "_open_servers", type(fork_server._open_servers)())
     (tmp_path / "played.py").write_text("import time\nend = time.process_time() + 0.5\nwhile time.process_time() < end: pass")
     before_s, environment = children_cpu_s(), {**os.environ, "PYTHONPATH": str(tmp_path)}
     with Path(os.devnull).open("r+") as nothing, keep_servers():
@@ -124,7 +124,7 @@ def test_a_process_whose_server_is_killed_goes_on_and_the_next_starts_anew(start
 
 
 def test_an_interrupt_while_a_server_starts_leaves_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fork_server, "_kept", type(fork_server._kept)())
+    monkeypatch.setattr(fork_server, "_open_servers", type(fork_server._open_servers)())
     start, started = subprocess.Popen, list[subprocess.Popen[bytes]]()
 
     def start_and_interrupt(*arguments: Any, **options: Any) -> subprocess.Popen[bytes]:
@@ -177,7 +177,7 @@ def test_variables_that_libraries_read_once_have_a_server_of_their_own(start: St
     for spins in ("0", "1"):
         process = start("import os; print(os.environ['GOMP_SPINCOUNT'])", GOMP_SPINCOUNT=spins)
         assert process.stdout is not None and process.stdout.read() == f"{spins}\n"
-    assert len(fork_server._kept.servers) == 2
+    assert len(fork_server._open_servers.servers) == 2
 
 
 def test_forks_of_one_server_have_the_threads_that_each_asks_for(start: Start) -> None:
@@ -185,14 +185,14 @@ def test_forks_of_one_server_have_the_threads_that_each_asks_for(start: Start) -
     for threads in ("1", "3", "2"):
         process = start(lines, names=("torch",), OMP_NUM_THREADS=threads)
         assert process.stdout is not None and process.stdout.read() == f"{threads} True\n"
-    assert len(fork_server._kept.servers) == 1
+    assert len(fork_server._open_servers.servers) == 1
     first = only_server()
     unset = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
     assert first is not open_server(("torch",), unset), "what libraries choose is no number to be told"
 
 
 def test_a_server_that_was_started_imports_meanwhile_and_is_the_one_that_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fork_server, "_kept", type(fork_server._kept)())
+    monkeypatch.setattr(fork_server, "_open_servers", type(fork_server._open_servers)())
     environment = {**os.environ}
     assert start_server(NAMES, environment) is None, "nobody would end it"
     with keep_servers():
@@ -343,7 +343,7 @@ def test_a_system_that_starts_no_process_leaves_no_server_and_is_named(
     def refuse(*arguments: Any, **options: Any) -> None:
         raise OSError(number, os.strerror(number), "python")
 
-    monkeypatch.setattr(fork_server, "_kept", type(fork_server._kept)())
+    monkeypatch.setattr(fork_server, "_open_servers", type(fork_server._open_servers)())
     monkeypatch.setattr(fork_server.subprocess, "Popen", refuse)
     with keep_servers():
         assert start_server(NAMES, {**os.environ}) is None

@@ -315,7 +315,7 @@ def test_a_raster_of_no_device_is_refused(name: str, tmp_path: Path) -> None:
     write_json(tmp_path / "report.json", {"found": {"d": record, "honest": RASTER}, "missing": {}})
     check_result("edge_raster", tmp_path, ["report.json"])
     report = open_report("edge_raster", tmp_path, "gps")
-    assert [*report.found] == ["honest"] and report.missing["d"].startswith("a raster "), "the others of its edge count"
+    assert [*report.records] == ["honest"] and report.missing["d"].startswith("a raster "), "the others of its edge count"
 
 
 def test_a_raster_is_of_the_photographs_that_were_counted() -> None:
@@ -416,7 +416,7 @@ def test_one_wrong_device_of_a_report_is_missing_with_a_plain_reason(tmp_path: P
     found = {"d": told, "e": changed(told, "summary.train_s", "1"), "f": changed(told, "frame.reason", "a\x1bb")}
     write_json(tmp_path / "report.json", {"found": found, "missing": {"g": "c\x1b[2J"}})
     report = open_report("region", tmp_path)
-    assert [*report.found] == ["d", "f"] and report.found["f"].frame.reason == "a b"
+    assert [*report.records] == ["d", "f"] and report.records["f"].frame.reason == "a b"
     assert report.missing["g"] == "c [2J" and "summary.train_s is '1'" in report.missing["e"]
 
 

@@ -58,7 +58,7 @@ def test_the_scale_is_as_good_as_what_gives_it(kind: str, residual_m: float | No
     of = scene(kind, residual_m)
     found = known_scale(of, survey)
     assert found.sigma == pytest.approx(2.0 / spread_m(of) if sigma == "by GPS" else sigma)
-    assert re.fullmatch(said, found.said)
+    assert re.fullmatch(said, found.text)
 
 
 def measured(folder: Path, town: Any, record: dict[str, Any], distance: float = 60.0) -> dict[str, Any]:

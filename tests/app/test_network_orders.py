@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from radiant_app.network.arrivals import SPARE_BYTES
 from radiant_app.network.hub import Hub
-from radiant_app.network.reception import Asked, Reception
+from radiant_app.network.reception import HttpRequest, Reception
 from radiant_app.network.store import HubStore
 from radiant_core.io.transport.delivery import describe_files
 from tests.app.test_network_reception import World
@@ -37,7 +37,7 @@ class Story:
         world.report.write_bytes(DATA)
         self.other = folder / "other.json"
         self.other.write_bytes(DATA[::-1])
-        self.sent: list[Asked] = []
+        self.sent: list[HttpRequest] = []
         self.announced = DATA
 
     def do(self, action: tuple) -> None:
@@ -47,7 +47,7 @@ class Story:
         if received.state == "received":
             assert self.world.arrivals.num_bytes(self.world.task.digest) in (0, SIZE)
 
-    def ask(self, asked: Asked) -> int:
+    def ask(self, asked: HttpRequest) -> int:
         self.sent.append(asked)
         return self.world.answer(asked).status
 

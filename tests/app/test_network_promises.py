@@ -23,7 +23,7 @@ class Disk:
     def announce(self, task: str, member: str, num_bytes: int) -> bool:
         known = self.arriving.get(task)
         missing = num_bytes - (known.arrived_bytes if known else 0)
-        if self.free < missing + self.promises.beside(task, member, [*self.arriving.values()], self.free):
+        if self.free < missing + self.promises.reserved_bytes(task, member, [*self.arriving.values()], self.free):
             return False
         self.promises.announced(task, num_bytes - missing)
         self.arriving[task] = known or Arriving(task=task, member=member, num_bytes=num_bytes, arrived_bytes=0)

@@ -19,8 +19,8 @@ from radiant_app.commands.network import node as commands
 from radiant_app.network.arrivals import SPARE_BYTES, Arrivals
 from radiant_app.network.executor import admit_event
 from radiant_app.network.home import make_home
-from radiant_app.network.hub import MAX_SAID, Hub
-from radiant_app.network.reception import BODY, COUNTER, NODE, REPLY, SEAL, Asked, Reception, Reply, Said
+from radiant_app.network.hub import MAX_MESSAGES, Hub
+from radiant_app.network.reception import BODY, COUNTER, NODE, REPLY, SEAL, HttpRequest, NodeMessage, Reception, Reply
 from radiant_app.network.store import HubStore, KnownTask
 from radiant_core import __version__
 from radiant_core.io.transport.delivery import SentFile, describe_files
@@ -39,7 +39,7 @@ class World:
         (self.home.folder / "incoming").mkdir()
         self.arrivals = Arrivals(folder=self.home.folder / "incoming")
         self.store = HubStore(folder=self.home.folder)
-        self.heard: list[Said] = []
+        self.heard: list[NodeMessage] = []
         self.reception = Reception(node="cloud", key=self.home.key, store=self.store, arrivals=self.arrivals, heard=self.heard.append)
         self.hub = Hub(home=self.home, store=self.store, arrivals=self.arrivals)
         self.key, self.counter = Ed25519PrivateKey.generate(), 0
@@ -54,14 +54,14 @@ class World:
         self.report = folder / "report.json"
         self.report.write_bytes(bytes(random.Random(0).randbytes(50_000)))
 
-    def sealed(self, method: str, target: str, body: bytes = b"", node: str = "edges/north", **headers: str) -> Asked:
+    def sealed(self, method: str, target: str, body: bytes = b"", node: str = "edges/north", **headers: str) -> HttpRequest:
         self.counter += 1
         digest = hashlib.sha256(body).hexdigest()
         request = Request(node=node, counter=self.counter, method=method, target=target, body_sha256=digest)
         sealed = {NODE: node, COUNTER: str(self.counter), SEAL: base64.b64encode(self.key.sign(request.message())).decode(), BODY: digest}
-        return Asked(method=method, target=target, headers={**sealed, "content-length": str(len(body)), **headers}, body=body)
+        return HttpRequest(method=method, target=target, headers={**sealed, "content-length": str(len(body)), **headers}, body=body)
 
-    def answer(self, asked: Asked) -> Reply:
+    def answer(self, asked: HttpRequest) -> Reply:
         """As the socket does: without its body first."""
         return self.reception.admit(replace(asked, body=b"")) or self.reception.answer(asked)
 
@@ -85,7 +85,7 @@ class World:
         text, signature = sign_envelope(replace(envelope, **changed), self.key)
         return signature + text
 
-    def part(self, offset: int, data: bytes) -> Asked:
+    def part(self, offset: int, data: bytes) -> HttpRequest:
         headers = {"upload-offset": str(offset), "content-type": "application/offset+octet-stream"}
         return self.sealed("PATCH", f"/results/{self.task.digest}/0?offset={offset}", data, **headers)
 
@@ -98,7 +98,7 @@ def world(tmp_path: Path) -> World:
     return World(tmp_path)
 
 
-def spoiled(asked: Asked, rng: random.Random) -> Asked:
+def spoiled(asked: HttpRequest, rng: random.Random) -> HttpRequest:
     """A request with something else than was sealed."""
     kind = rng.randrange(7)
     headers = dict(asked.headers)
@@ -310,10 +310,10 @@ def test_what_a_node_says_moves_no_cursor(world: World) -> None:
 
 
 def test_events_that_nobody_reads_are_bounded_and_ends_are_kept(world: World) -> None:
-    for number in range(3 * MAX_SAID):
-        world.hub.hear(Said(digest="1", events=(f"event {number}",)))
-    world.hub.hear(Said(digest="1", events=("last",), received=True))
-    assert world.hub.said.qsize() == MAX_SAID + 1
+    for number in range(3 * MAX_MESSAGES):
+        world.hub.hear(NodeMessage(digest="1", events=(f"event {number}",)))
+    world.hub.hear(NodeMessage(digest="1", events=("last",), received=True))
+    assert world.hub.messages.qsize() == MAX_MESSAGES + 1
 
 
 def test_a_disk_with_room_for_one_promises_it_to_one(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

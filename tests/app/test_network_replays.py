@@ -17,7 +17,7 @@ from radiant_app.network.contents import MAX_REASON_CHARS, check_frame
 from radiant_app.network.home import Listening, open_home
 from radiant_app.network.packs import LIST_NAME, SIGNATURE_NAME
 from radiant_app.network.receiving import open_desk
-from radiant_app.network.reception import Asked, Refused
+from radiant_app.network.reception import HttpRequest, Refused
 from radiant_app.network.store import HubStore
 from radiant_core import __version__
 from radiant_core.aggregate.averaging import Refinement
@@ -52,7 +52,7 @@ def said(world: World, batch: int, tries: int = 1, events: list[str] | None = No
     return json.dumps({**body, "batch": batch, "events": [STARTED] if events is None else events}).encode()
 
 
-def everything(world: World) -> list[Asked]:
+def everything(world: World) -> list[HttpRequest]:
     """A member's whole task, each request once: poll, the file of the task, announcement, the parts, what arrived, poll."""
     target = f"/results/{world.task.digest}"
     data = world.report.read_bytes()

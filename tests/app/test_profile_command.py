@@ -137,11 +137,11 @@ def test_nodes_are_forked_as_in_a_run_with_the_threads_that_were_asked_for(
     asked: list[tuple[Sequence[str], str, int]] = []
 
     def refuse(names: Sequence[str], environment: Mapping[str, str]) -> None:
-        asked.append((names, environment["OMP_NUM_THREADS"], fork_server._kept.num_runs))
+        asked.append((names, environment["OMP_NUM_THREADS"], fork_server._open_servers.num_runs))
         raise StageFailed("asked")
 
     monkeypatch.setattr(local, "open_server", refuse)
-    kept = fork_server._kept.num_runs
+    kept = fork_server._open_servers.num_runs
     for workers, threads, expected in ((1, 3, "3"), (64, None, "1")):
         with pytest.raises(StageFailed, match="asked"):
             profile(
@@ -149,7 +149,7 @@ def test_nodes_are_forked_as_in_a_run_with_the_threads_that_were_asked_for(
                 lambda event: None,
             )
         assert asked.pop() == (local.IMPORTED, expected, kept + 1)
-    assert fork_server._kept.num_runs == kept
+    assert fork_server._open_servers.num_runs == kept
 
 
 def test_photographs_alone_are_reconstructed_by_a_task_that_its_worker_accepts(

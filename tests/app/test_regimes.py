@@ -105,7 +105,7 @@ def decisions_of_a_training() -> Iterator[Decision]:
     grey = replace(views, images=tuple(np.full((60, 80, 3), 30 * view, np.uint8) for view in range(len(views))))
     for own in (views, grey):
         yield from choose_helpers(
-            *open_gates(config, fill_in_points(scene, own), own), own, lambda trial: np.zeros(trial.held.sum())
+            *open_gates(config, fill_in_points(scene, own), own), own, lambda trial: np.zeros(trial.held_out.sum())
         ).decisions
     yield from images_worth(*scene_of(4)).decisions
     yield extent_decision(cameras_above([(0.0, 0.0), (100.0, 0.0)]), ground_splats(), 2.0)
@@ -117,4 +117,4 @@ def decisions_of_a_training() -> Iterator[Decision]:
 def lights_of(spread: float, evenness: float) -> Lights:
     cameras = cameras_above([(0.0, 0.0), (1.0, 0.0)])
     gains = spread * np.array([[-1.0] * 3, [1.0] * 3])
-    return replace(no_lights(cameras), log_gains=gains, known=np.ones(2, bool), evenness=evenness)
+    return replace(no_lights(cameras), log_gains=gains, is_known=np.ones(2, bool), evenness=evenness)

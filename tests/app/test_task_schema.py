@@ -15,7 +15,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiant_app.workers.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NAME, accept_task, exchange_keys, identify_part, sign_task
+from radiant_app.workers.delivering import (
+    ABOVE_NAME,
+    FROM_ABOVE,
+    IDENTITY,
+    TAKEN_NAME,
+    accept_task,
+    exchange_keys,
+    identify_part,
+    sign_task,
+)
 from radiant_app.workers.tasks import (
     TASKS,
     AverageTask,
@@ -185,7 +194,7 @@ def test_an_older_task_does_not_come_back(tmp_path: Path) -> None:
     old = shutil.copytree(given(run), tmp_path / "old")
     folder = given(run, seed=1)
     accept_task(folder, "device_task")
-    for name in ("task.json", f"{GIVEN}/{RECORD_NAME}", f"{GIVEN}/{SIGNATURE_NAME}"):
+    for name in ("task.json", f"{FROM_ABOVE}/{RECORD_NAME}", f"{FROM_ABOVE}/{SIGNATURE_NAME}"):
         shutil.copyfile(old / name, folder / name)
     assert "attempt 1 is old, attempt 2 was taken" in refusal(folder)
 
@@ -193,7 +202,7 @@ def test_an_older_task_does_not_come_back(tmp_path: Path) -> None:
 def test_a_task_for_somebody_else_of_another_run_or_kind_is_refused(tmp_path: Path) -> None:
     run = run_with(tmp_path / "run", DEVICE, "devices/a-2")
     folder, other = given(run), given(run, "devices/a-2")
-    shutil.copytree(other / GIVEN, folder / GIVEN, dirs_exist_ok=True)
+    shutil.copytree(other / FROM_ABOVE, folder / FROM_ABOVE, dirs_exist_ok=True)
     assert "it is addressed to 'devices/a-2'" in refusal(folder)
     folder = given(run)
     assert "is 'device_task', expected 'field_task'" in refusal(folder, "field_task")
@@ -243,7 +252,7 @@ def test_no_tampered_task_is_taken() -> None:
 def tampered_tasks(folder: Path, count: int, seed: int) -> list[str]:
     """Change a device's task in `count` ways that need no key of its edge; those that were taken."""
     run = run_with(folder / "run", DEVICE, "devices/a-2")
-    signed = (f"{GIVEN}/{RECORD_NAME}", f"{GIVEN}/{SIGNATURE_NAME}")
+    signed = (f"{FROM_ABOVE}/{RECORD_NAME}", f"{FROM_ABOVE}/{SIGNATURE_NAME}")
     kept = {
         name: shutil.copytree(given(run, device, number), folder / name)
         for name, device, number in (("older", DEVICE, 1), ("other", "devices/a-2", 2), ("right", DEVICE, 3))

@@ -21,7 +21,7 @@ def drawn(cloud: str) -> tuple[float, SeamFinding, Image]:
     splats, scene = joined(cloud), ground().scene(range(len(CAMERAS)))
     excess = ground().excess(splats)
     assert excess.excess_db is not None
-    proven = {frozenset(PLAN.edge_ids): excess.excess_db} if excess.found else {}
+    proven = {frozenset(PLAN.edge_ids): excess.excess_db} if excess.has_seam else {}
     (finding,) = seam_findings(scene, REGIONS, splats, proven)
     return excess.excess_db, finding, seams_picture(scene, REGIONS, splats, SIZE_WH, proven)
 

@@ -43,7 +43,7 @@ def sent() -> dict[str, StepGradients]:
     for number in range(NUM_DEVICES):
         rows = np.sort(rng.choice(NUM_SPLATS, NUM_ROWS, replace=False))
         values = 1e-4 * np.abs(rng.standard_normal((NUM_ROWS, LAYOUT.num_columns))).astype(np.float32)
-        made[f"d{number}"] = StepGradients(num_views=1, loss=0.2, rows=rows, values=values, seen=np.ones(NUM_ROWS, np.uint16))
+        made[f"d{number}"] = StepGradients(num_views=1, loss=0.2, rows=rows, values=values, view_counts=np.ones(NUM_ROWS, np.uint16))
     return made
 
 

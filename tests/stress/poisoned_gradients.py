@@ -86,7 +86,7 @@ ATTACKS: dict[str, Attack] = {
     "growth x 1000": _growth(1000),
     "growth x 5": _growth(5),
     "growth negative": _growth(-1),
-    "seen nowhere": lambda sent, layout, rng: replace(sent, seen=np.zeros_like(sent.seen)),
+    "seen nowhere": lambda sent, layout, rng: replace(sent, view_counts=np.zeros_like(sent.view_counts)),
     "loss 1e9": lambda sent, layout, rng: replace(sent, loss=1e9),
 }
 HONEST, ABSENT, OTHER, OTHER_START = "honest", "absent", "another place", "another place from the start"

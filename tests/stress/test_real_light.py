@@ -44,7 +44,7 @@ def test_predicted_light_leaves_less_error_than_the_mean(name: str, least_db: fl
         expected = truth[asked] - truth[rows].mean(axis=0)
         left[asked] = brightness[asked] * np.mean(np.expm1(found.lights.log_gains - expected) ** 2, axis=1)
         mean_left[asked] = brightness[asked] * np.mean(np.expm1(-expected) ** 2, axis=1)
-        choices.append(f"{found.base}+{found.rest}")
+        choices.append(f"{found.base}+{found.interpolation}")
     predicted_db, mean_db = -10 * np.log10(left.mean()), -10 * np.log10(mean_left.mean())
     print(f"{name}: {predicted_db:.1f} dB predicted, {mean_db:.1f} dB by the mean; {', '.join(choices)}")
     assert predicted_db >= least_db and predicted_db >= mean_db + gain_db

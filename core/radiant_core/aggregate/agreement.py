@@ -53,19 +53,21 @@ def find_contradictions(models: Sequence[Splats], cameras: Sequence[Cameras], ba
     if len(models) != len(cameras):
         raise BadInput(f"{len(cameras)} sets of cameras for {len(models)} models: give one each.")
     agreement_db = np.full((len(models), len(models)), np.nan)
-    for host, own in enumerate(cameras):
-        asked = _sample_cameras(own)
-        if not len(asked):
+    for host, host_cameras in enumerate(cameras):
+        sample = _sample_cameras(host_cameras)
+        if not len(sample):
             continue
-        home = list(render_views(models[host], asked, backend))
+        home = list(render_views(models[host], sample, backend))
         for guest in range(len(models)):
             if guest != host:
-                agreement_db[guest, host] = _agreement_db(home, list(render_views(models[guest], asked, backend)))
+                agreement_db[guest, host] = _agreement_db(home, list(render_views(models[guest], sample, backend)))
     # Of a pair the worse direction counts, NaN where they share no place.
     pairs = np.fmin(agreement_db, agreement_db.T)
     refused = _find_outvoted(pairs)
     stay = [model for model in range(len(models)) if model not in refused]
-    ties = {(one, other): float(pairs[one, other]) for one, other in combinations(stay, 2) if pairs[one, other] < MIN_AGREEMENT_DB}
+    ties = {
+        (first, second): float(pairs[first, second]) for first, second in combinations(stay, 2) if pairs[first, second] < MIN_AGREEMENT_DB
+    }
     return Agreement(agreement_db=agreement_db, refused=refused, ties=ties)
 
 
@@ -76,11 +78,12 @@ def _sample_cameras(cameras: Cameras) -> Cameras:
 
 def _agreement_db(home: Sequence, guest: Sequence) -> float:
     """PSNR over all pixels that both show; NaN where they are too few."""
-    both = [(one.alpha > OPAQUE) & (other.alpha > OPAQUE) for one, other in zip(home, guest, strict=True)]
+    both = [(home_view.alpha > OPAQUE) & (guest_view.alpha > OPAQUE) for home_view, guest_view in zip(home, guest, strict=True)]
     num_shared, num_pixels = sum(int(mask.sum()) for mask in both), sum(mask.size for mask in both)
     if num_shared < MIN_SHARE * num_pixels:
         return float("nan")
-    squares = sum(float(np.square(one.image[m] - other.image[m]).sum()) for one, other, m in zip(home, guest, both, strict=True))
+    triples = zip(home, guest, both, strict=True)
+    squares = sum(float(np.square(home_view.image[m] - guest_view.image[m]).sum()) for home_view, guest_view, m in triples)
     return float(-10 * np.log10(max(squares / (3 * num_shared), 1e-10)))
 
 
@@ -91,18 +94,18 @@ def _find_outvoted(pairs: FloatArray) -> dict[int, str]:
     that; only those that most of their neighbours outside of these contradict.
     """
     neighbours, against = ~np.isnan(pairs), pairs < MIN_AGREEMENT_DB
-    left, refused = np.ones(len(pairs), bool), dict[int, str]()
-    while left.sum() >= MIN_MODELS:
-        asked = (neighbours & left).sum(axis=1)
-        shares = np.where(left, (against & left).sum(axis=1) / np.maximum(asked, 1), 0.0)
+    remaining, refused = np.ones(len(pairs), bool), dict[int, str]()
+    while remaining.sum() >= MIN_MODELS:
+        num_neighbours = (neighbours & remaining).sum(axis=1)
+        shares = np.where(remaining, (against & remaining).sum(axis=1) / np.maximum(num_neighbours, 1), 0.0)
         worst = shares == shares.max()
-        outvoted = np.flatnonzero(worst & left & (2 * (against & left & ~worst).sum(axis=1) > asked))
+        outvoted = np.flatnonzero(worst & remaining & (2 * (against & remaining & ~worst).sum(axis=1) > num_neighbours))
         if not len(outvoted):
             break
         for model in outvoted.tolist():
             refused[model] = (
-                f"it contradicts {int((against & left)[model].sum())} of the {asked[model]} models that show the same places "
+                f"it contradicts {int((against & remaining)[model].sum())} of the {num_neighbours[model]} models that show the same places "
                 f"(below {MIN_AGREEMENT_DB:g} dB)."
             )
-        left[outvoted] = False
+        remaining[outvoted] = False
     return refused

@@ -92,18 +92,18 @@ def _mean(refinements: Iterable[Refinement], scene: Splats) -> tuple[Splats, Flo
     an iterator one refinement at a time is held."""
     weights = np.zeros(len(scene))
     mean = {name: array.copy() for name, array in scene.arrays().items()}
-    for each in refinements:
-        if (problem := refinement_problem(each, scene)) is not None:
+    for refinement in refinements:
+        if (problem := refinement_problem(refinement, scene)) is not None:
             raise BadInput(problem)
-        for start in range(0, len(each.rows), BLOCK_ROWS):
+        for start in range(0, len(refinement.rows), BLOCK_ROWS):
             part = slice(start, start + BLOCK_ROWS)
-            rows = each.rows[part]
-            weights[rows] += each.weights[part]
-            share = each.weights[part] / weights[rows]
+            rows = refinement.rows[part]
+            weights[rows] += refinement.weights[part]
+            share = refinement.weights[part] / weights[rows]
             # q and −q are one rotation, and their mean none.
-            turned = (each.splats.quats[part] * scene.quats[rows]).sum(axis=1) < 0
+            turned = (refinement.splats.quats[part] * scene.quats[rows]).sum(axis=1) < 0
             for name, array in mean.items():
-                value = each.splats.arrays()[name][part].astype(np.float64)
+                value = refinement.splats.arrays()[name][part].astype(np.float64)
                 if name == "quats":
                     value[turned] *= -1
                 before = array[rows].astype(np.float64)
@@ -144,22 +144,26 @@ def limit_changes(before: Splats, after: Splats) -> Splats:
     return replace(after, **arrays)
 
 
-def admit_refinement(refinement: Refinement, scene: Splats, shown: NDArray[np.floating] | None = None) -> Refinement:
+def admit_refinement(refinement: Refinement, scene: Splats, shown_shares: NDArray[np.floating] | None = None) -> Refinement:
     """What of a refinement counts: Gaussians that changed no more than refining does and, where it
-    is known what the sender's photographs show of the scene's N, `shown` (N,) of each, that these
-    show, weighted by it.
+    is known what the sender's photographs show of the scene's N, `shown_shares` (N,) of each, that
+    these show, weighted by it.
 
     A sender cannot change what its photographs do not show, nor outweigh those that show it better.
     """
     rows, after = refinement.rows, refinement.splats
-    kept = np.concatenate([_within_limits(scene, after, rows, start) for start in range(0, len(rows), BLOCK_ROWS)] or [np.zeros(0, bool)])
-    weights = refinement.weights if shown is None else shown[rows].astype(np.float32)
-    kept &= weights > 0
-    chosen = np.flatnonzero(kept)
+    is_admitted = np.concatenate(
+        [_within_limits(scene, after, rows, start) for start in range(0, len(rows), BLOCK_ROWS)] or [np.zeros(0, bool)]
+    )
+    weights = refinement.weights if shown_shares is None else shown_shares[rows].astype(np.float32)
+    is_admitted &= weights > 0
+    chosen = np.flatnonzero(is_admitted)
     admitted = after.select(chosen)
     # A quaternion's length is no part of its rotation, but it is a weight in a mean.
-    own, their = (np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True) for quats in (scene.quats[rows[chosen]], admitted.quats))
-    quats = (admitted.quats * (own / their)).astype(np.float32)
+    scene_norms, norms = (
+        np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True) for quats in (scene.quats[rows[chosen]], admitted.quats)
+    )
+    quats = (admitted.quats * (scene_norms / norms)).astype(np.float32)
     return Refinement(rows=rows[chosen], splats=replace(admitted, quats=quats), weights=weights[chosen])
 
 
@@ -170,11 +174,11 @@ def _within_limits(scene: Splats, after: Splats, rows: NDArray[np.int64], start:
     before = {name: array[rows[part]].astype(np.float64) for name, array in scene.arrays().items()}
     now = {name: array[part].astype(np.float64) for name, array in after.arrays().items()}
     moved = np.linalg.norm(now["means"] - before["means"], axis=1)
-    kept = moved <= MAX_MOVE * np.exp(before["log_scales"].max(axis=1, initial=-np.inf))
-    kept &= _turned_deg(before["quats"], now["quats"]) <= MAX_TURN_DEG
+    is_within = moved <= MAX_MOVE * np.exp(before["log_scales"].max(axis=1, initial=-np.inf))
+    is_within &= _turned_deg(before["quats"], now["quats"]) <= MAX_TURN_DEG
     for name, most in MAX_CHANGES.items():
-        kept &= (np.abs(now[name] - before[name]) <= most).reshape(len(kept), -1).all(axis=1)
-    return kept
+        is_within &= (np.abs(now[name] - before[name]) <= most).reshape(len(is_within), -1).all(axis=1)
+    return is_within
 
 
 def _turned_deg(before: NDArray[np.floating], after: NDArray[np.floating]) -> FloatArray:
@@ -187,7 +191,9 @@ def _turned_deg(before: NDArray[np.floating], after: NDArray[np.floating]) -> Fl
 
 def _turned_by(before: NDArray[np.float32], after: NDArray[np.float32], angle_deg: float) -> FloatArray:
     """Unit quaternions (N,4) on the way from rotations to others that differ, by that angle."""
-    first, second = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in (before.astype(np.float64), after.astype(np.float64)))
+    first, second = (
+        quats / np.linalg.norm(quats, axis=1, keepdims=True) for quats in (before.astype(np.float64), after.astype(np.float64))
+    )
     cosines = (first * second).sum(axis=1, keepdims=True)
     aside = np.where(cosines < 0, -second, second) - first * np.abs(cosines)
     half = np.deg2rad(angle_deg / 2)
@@ -202,16 +208,16 @@ def join_refinements(refinements: Iterable[Refinement], scene: Splats) -> Refine
     return replace(mean, weights=(ROUNDING**powers).astype(np.float32))
 
 
-def refine_scene(scene: Splats, refinements: Iterable[Refinement], kept: Splats | None = None) -> Splats:
-    """`scene` with the mean of its refinements in place; other Gaussians are those of `kept`, what
-    the round before made, from where `scene` starts further on, or keep their bits."""
+def refine_scene(scene: Splats, refinements: Iterable[Refinement], previous: Splats | None = None) -> Splats:
+    """`scene` with the mean of its refinements in place; other Gaussians are those of `previous`,
+    what the round before made, from where `scene` starts further on, or keep their bits."""
     refined, weights = _mean(refinements, scene)
-    if kept is None:
+    if previous is None:
         return refined
     others = weights == 0
     arrays = {name: array.copy() for name, array in refined.arrays().items()}
     for name, array in arrays.items():
-        array[others] = kept.arrays()[name][others]
+        array[others] = previous.arrays()[name][others]
     return replace(refined, **arrays)
 
 

@@ -62,11 +62,13 @@ class _Pairs:
 
     first: NDArray[np.int64]
     second: NDArray[np.int64]
-    one: FloatArray
-    other: FloatArray
+    first_colors: FloatArray
+    second_colors: FloatArray
 
     def select(self, rows: NDArray[np.int64]) -> _Pairs:
-        return _Pairs(first=self.first[rows], second=self.second[rows], one=self.one[rows], other=self.other[rows])
+        return _Pairs(
+            first=self.first[rows], second=self.second[rows], first_colors=self.first_colors[rows], second_colors=self.second_colors[rows]
+        )
 
 
 def exposure_balance(teachers: Sequence[Teacher], backend: Backend = "auto") -> Balance:
@@ -105,27 +107,27 @@ def _pairs(teachers: Sequence[Teacher], backend: Backend) -> _Pairs:
             continue
         rows = np.unique(np.linspace(0, len(teacher.cameras) - 1, min(NUM_ASKED, len(teacher.cameras))).astype(np.int64))
         cameras = teacher.cameras.select(rows).scaled(LONG_SIDE_PX)
-        own = list(render_views(teacher.splats, cameras, backend))
-        for second, other in enumerate(teachers):
+        renderings = list(render_views(teacher.splats, cameras, backend))
+        for second, guest in enumerate(teachers):
             if second == first:
                 continue
-            for here, there in zip(own, render_views(other.splats, cameras, backend), strict=True):
+            for here, there in zip(renderings, render_views(guest.splats, cameras, backend), strict=True):
                 near = np.abs(here.depth - there.depth) < DEPTH_TOLERANCE * here.depth
                 both = (here.alpha > OPAQUE) & (there.alpha > OPAQUE) & near
                 number = int(both.sum())
                 models.append((np.full(number, first), np.full(number, second)))
                 colors.append((here.image[both].astype(np.float64), there.image[both].astype(np.float64)))
     first_of, second_of = (np.concatenate(side) for side in zip(*models, strict=True))
-    one, other = (np.concatenate(side) for side in zip(*colors, strict=True))
-    return _Pairs(first=first_of, second=second_of, one=one, other=other)
+    first_colors, second_colors = (np.concatenate(side) for side in zip(*colors, strict=True))
+    return _Pairs(first=first_of, second=second_of, first_colors=first_colors, second_colors=second_colors)
 
 
 def _solve_channel(pairs: _Pairs, channel: int, count: int) -> FloatArray:
     """g and b in turn (2M,) of one channel."""
     rows = np.arange(len(pairs.first))
     design = np.zeros((len(rows), 2 * count))
-    design[rows, 2 * pairs.first], design[rows, 2 * pairs.first + 1] = pairs.one[:, channel], 1.0
-    design[rows, 2 * pairs.second], design[rows, 2 * pairs.second + 1] = -pairs.other[:, channel], -1.0
+    design[rows, 2 * pairs.first], design[rows, 2 * pairs.first + 1] = pairs.first_colors[:, channel], 1.0
+    design[rows, 2 * pairs.second], design[rows, 2 * pairs.second + 1] = -pairs.second_colors[:, channel], -1.0
     gauge = np.zeros((2, 2 * count))
     gauge[0, 0::2], gauge[1, 1::2] = 1.0, 1.0
     plain, ridge = np.tile([1.0, 0.0], count), _RIDGE * len(rows)

@@ -50,22 +50,22 @@ def choose_at_cloud(needs: CloudNeeds, cloud: Cloud, stage: str, *, memory_of: s
     `memory_of` says in words whose limit that of memory is."""
     limit_gb = None if cloud.memory_bytes is None else cloud.memory_bytes / 1e9
     most_views = None if cloud.max_cameras is None else float(cloud.max_cameras)
-    own = "the cloud's limit"
+    label = "the cloud's limit"
     figures = [
         ("memory", needs.memory_bytes / 1e9, limit_gb, "GB", memory_of),
-        ("time", needs.time_s, cloud.time_s, "s", own),
-        ("views", float(needs.num_cameras), most_views, "cameras", own),
+        ("time", needs.time_s, cloud.time_s, "s", label),
+        ("views", float(needs.num_cameras), most_views, "cameras", label),
     ]
     limited = [
-        (name, figure, limit, unit, whose) for name, figure, limit, unit, whose in figures if limit is not None and figure is not None
+        (name, figure, limit, unit, owner) for name, figure, limit, unit, owner in figures if limit is not None and figure is not None
     ]
     if not limited:
         name, figure, unit = "memory", needs.memory_bytes / 1e9, "GB"
         retrains, reason = True, "its predicted memory; the system file sets no limit, so that the cloud's machine decides"
     else:
-        name, figure, limit, unit, whose = max(limited, key=lambda item: item[1] / item[2] if item[2] else float("inf"))
+        name, figure, limit, unit, owner = max(limited, key=lambda item: item[1] / item[2] if item[2] else float("inf"))
         retrains = figure <= limit
         word = "is within" if retrains else "exceeds"
-        reason = f"the predicted {name} of retraining, {figure:.3g} {unit}, {word} {whose} of {limit:.3g} {unit}"
+        reason = f"the predicted {name} of retraining, {figure:.3g} {unit}, {word} {owner} of {limit:.3g} {unit}"
     choice = "retraining all models together" if retrains else "models are cut at their borders instead of retrained"
     return retrains, Decision(stage=stage, topic="aggregation", choice=choice, figure=figure, unit=f"{unit} predicted", reason=reason)

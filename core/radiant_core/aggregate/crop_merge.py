@@ -20,8 +20,8 @@ def crop_merge(models: Sequence[Splats], sites: FloatArray, weights: FloatArray)
         raise BadInput("no models to merge: pass at least one.")
     sites = check_array("sites", sites, (len(models), 2))
     weights = check_array("weights", weights, (len(models),))
-    kept = []
+    parts = []
     for index, model in enumerate(models):
         positions = model.means[:, None, :2].astype(np.float64)
-        kept.append(model.select(np.argmin(((positions - sites) ** 2).sum(-1) - weights, axis=1) == index))
-    return concatenate_splats(kept)
+        parts.append(model.select(np.argmin(((positions - sites) ** 2).sum(-1) - weights, axis=1) == index))
+    return concatenate_splats(parts)

@@ -63,12 +63,12 @@ class NewRegion:
     def inside_m(self, places: NDArray[np.floating]) -> FloatArray:
         """How far inside the border places (..., 2 or 3) m lie (...,): negative outside, or NaN."""
         flat = np.asarray(places, np.float64)[..., :2]
-        known = np.isfinite(flat).all(axis=-1)
-        area, xy = Polygon(self.polygon), points(flat[known])
+        is_finite = np.isfinite(flat).all(axis=-1)
+        area, xy = Polygon(self.polygon), points(flat[is_finite])
         prepare(area)
         away = distance(boundary(area), xy)
-        inside = np.full(known.shape, np.nan)
-        inside[known] = np.where(contains(area, xy), away, -away)
+        inside = np.full(is_finite.shape, np.nan)
+        inside[is_finite] = np.where(contains(area, xy), away, -away)
         return inside
 
 
@@ -108,9 +108,9 @@ def extend_scene(scene: Splats, addition: Teacher, region: NewRegion, train: Tra
         raise BadInput(f"none of the {len(new_m)} new Gaussians lies in the region: check that both models are in one frame.")
     old_core = np.flatnonzero(old_m > region.margin_m)
     filled = old_core[_far_from(scene.select(old_core), addition.splats.means[new_m > 0])]
-    kept = scene.select(old_m < -region.margin_m)
+    outside = scene.select(old_m < -region.margin_m)
     added = addition.splats.select(new_m > region.margin_m)
-    still = concatenate_splats([kept, scene.select(filled), added])
+    still = concatenate_splats([outside, scene.select(filled), added])
     # Order: the scene's own, what fills gaps, what is new, the margin.
     near = [(scene, np.abs(old_m) <= region.margin_m), (addition.splats, np.abs(new_m) <= region.margin_m)]
     margin = [model.select(within) for model, within in near]
@@ -120,11 +120,11 @@ def extend_scene(scene: Splats, addition: Teacher, region: NewRegion, train: Tra
         joined = concatenate_splats(margin).select(np.concatenate(owns))
     else:
         moving = fade(margin, _owners(owns), join.foreign_opacity)
-        made = retrain(moving, views, train, join, options, held=still)
-        joined = concatenate_splats([made.splats, moving.select(~made.reached & np.concatenate(owns))])
+        retrained = retrain(moving, views, train, join, options, frozen=still)
+        joined = concatenate_splats([retrained.splats, moving.select(~retrained.reached & np.concatenate(owns))])
     return Extended(
         splats=concatenate_splats([still, joined]),
-        num_kept=len(kept),
+        num_kept=len(outside),
         num_replaced=len(old_core) - len(filled),
         num_filled=len(filled),
         num_added=len(added),
@@ -144,7 +144,7 @@ def _far_from(splats: Splats, means: NDArray[np.floating]) -> NDArray[np.bool_]:
 def _owners(owns: Sequence[NDArray[np.bool_]]) -> list[Ownership]:
     """Who owns the places of two models, all of them contested, given where each owns its own."""
     numbered = enumerate(owns)
-    return [Ownership(owner=np.where(own, index, 1 - index), contested=np.ones(len(own), bool)) for index, own in numbered]
+    return [Ownership(owner=np.where(is_owned, index, 1 - index), contested=np.ones(len(is_owned), bool)) for index, is_owned in numbered]
 
 
 def _blend_views(scene: Splats, addition: Teacher, region: NewRegion, train: TrainConfig, backend: Backend) -> TrainingViews | None:

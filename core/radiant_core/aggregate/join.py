@@ -137,11 +137,11 @@ def _find_owners(teachers: Sequence[Teacher], claims: Claims | None) -> list[Own
 
 
 def _cut(teachers: Sequence[Teacher], owned: Sequence[Ownership]) -> Joined:
-    kept = [teacher.splats.select(places.owner == index) for index, (teacher, places) in enumerate(zip(teachers, owned, strict=True))]
+    parts = [teacher.splats.select(places.owner == index) for index, (teacher, places) in enumerate(zip(teachers, owned, strict=True))]
     num_contested = sum(int(places.contested.sum()) for places in owned)
     num_given = sum(len(teacher.splats) for teacher in teachers)
     return Joined(
-        trained=as_result(concatenate_splats(kept)),
+        trained=as_result(concatenate_splats(parts)),
         num_given=num_given,
         num_views=sum(len(teacher.cameras) for teacher in teachers),
         contested_share=num_contested / num_given if num_given else 0.0,
@@ -162,35 +162,39 @@ def _join(
     cut = replace(_cut(teachers, owned), balance=balance)
     merged, owns, contested = _start(teachers, owned, join)
     shares = [contested_shares(teacher.cameras, merged.means, contested) for teacher in teachers]
-    shown = [own > TOUCHED_SHARE for own in shares]
-    cut = replace(cut, num_shown=int(sum(rows.sum() for rows in shown)), contested_share=float(contested.mean()) if len(contested) else 0.0)
+    touched = [views_shares > TOUCHED_SHARE for views_shares in shares]
+    cut = replace(
+        cut, num_shown=int(sum(rows.sum() for rows in touched)), contested_share=float(contested.mean()) if len(contested) else 0.0
+    )
     if not cut.num_shown:
         return cut
     if not join.num_epochs:
         # The cut is for the case that nobody refines it.
         return replace(cut, trained=as_result(merged), cut=cut.splats)
-    asked = [
-        replace(one, cameras=one.cameras.select(np.flatnonzero(rows))) for one, rows in zip(teachers, shown, strict=True) if rows.any()
+    touched_teachers = [
+        replace(one, cameras=one.cameras.select(np.flatnonzero(rows))) for one, rows in zip(teachers, touched, strict=True) if rows.any()
     ]
-    views = teacher_views(asked, train.long_side_px, options.backend, options.scratch)
+    views = teacher_views(touched_teachers, train.long_side_px, options.backend, options.scratch)
     if not join.weight_by_alpha:
         views = replace(views, weights=None)
-    compared = views.select(most_contested(np.concatenate([own[rows] for own, rows in zip(shares, shown, strict=True)])))
+    compared = views.select(
+        most_contested(np.concatenate([views_shares[rows] for views_shares, rows in zip(shares, touched, strict=True)]))
+    )
     cut = replace(cut, agreement_db=min(_psnr_db(cut.splats, compared, options.backend)))
     if join.agreement_db is not None and (cut.agreement_db or 0.0) >= join.agreement_db:
         return cut
     # What the cut is made of is there: a copy would wait for the end of the training.
     figures = replace(cut, trained=as_result(merged.select(np.arange(0))))
     del cut
-    made = retrain_by_tiles(merged, views, train, join, options, num_tiles)
-    whole = concatenate_splats([made.splats, merged.select(~made.reached & owns)])
-    joined = replace(figures, trained=replace(made.trained, splats=whole))
+    retrained = retrain_by_tiles(merged, views, train, join, options, num_tiles)
+    whole = concatenate_splats([retrained.splats, merged.select(~retrained.reached & owns)])
+    joined = replace(figures, trained=replace(retrained.trained, splats=whole))
     cut_again = _cut(teachers, owned).splats
     joined_db, cut_db = (_pooled_db(_psnr_db(model, compared, options.backend)) for model in (whole, cut_again))
     check = Check(num_views=len(compared), joined_db=joined_db, cut_db=cut_db)
     if check.keeps_joined:
         return replace(joined, check=check, cut=cut_again)
-    return replace(joined, trained=replace(made.trained, splats=cut_again), check=check)
+    return replace(joined, trained=replace(retrained.trained, splats=cut_again), check=check)
 
 
 def _start(teachers: Sequence[Teacher], owned: Sequence[Ownership], join: Join) -> tuple[Splats, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -202,12 +206,12 @@ def _start(teachers: Sequence[Teacher], owned: Sequence[Ownership], join: Join) 
 
 def without_faint(models: Sequence[Splats], owned: Sequence[Ownership], join: Join) -> tuple[list[Splats], list[Ownership]]:
     """Models and owners without what `fade` would make fainter than `join.faint_opacity`."""
-    kept = [
+    opaque_rows = [
         (places.owner == index) | (join.foreign_opacity * model.opacities >= join.faint_opacity)
         for index, (model, places) in enumerate(zip(models, owned, strict=True))
     ]
-    chosen = [model.select(rows) for model, rows in zip(models, kept, strict=True)]
-    return chosen, [places.at(rows) for places, rows in zip(owned, kept, strict=True)]
+    chosen = [model.select(rows) for model, rows in zip(models, opaque_rows, strict=True)]
+    return chosen, [places.at(rows) for places, rows in zip(owned, opaque_rows, strict=True)]
 
 
 def fade(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) -> Splats:
@@ -253,8 +257,8 @@ def _pooled_db(psnrs_db: Sequence[float]) -> float:
 def _psnr_db(model: Splats, views: TrainingViews, backend: Backend) -> list[float]:
     """PSNR of the model in each view, where its teacher is opaque."""
     weights = views.weights if views.weights is not None else [None] * len(views)
-    shown = zip(render_views(model, views.cameras, backend), views.images, weights, strict=True)
-    return [psnr_db(view.image, image / 255, _opaque(weight)) for view, image, weight in shown]
+    triples = zip(render_views(model, views.cameras, backend), views.images, weights, strict=True)
+    return [psnr_db(view.image, image / 255, _opaque(weight)) for view, image, weight in triples]
 
 
 def _opaque(weight: NDArray[np.uint8] | None) -> NDArray[np.bool_] | None:

@@ -68,16 +68,16 @@ def plan_join_memory(
     """The fewest tiles that join models (M), asked at `cameras` (M), within `memory_bytes`."""
     pixels = pixels_of(cameras, long_side_px)
     total = sum(map(len, models))
-    each = max((model.num_bytes / len(model) for model in models if len(model)), default=0.0)
-    needed, num_tiles = join_bytes(total, total, each, pixels), 1
+    splat_bytes = max((model.num_bytes / len(model) for model in models if len(model)), default=0.0)
+    needed, num_tiles = join_bytes(total, total, splat_bytes, pixels), 1
     if needed > memory_bytes and total and most_tiles > 1:
         merged, views = concatenate_splats(models), concatenate_cameras(cameras).scaled(long_side_px)
         while needed > memory_bytes and num_tiles < most_tiles:
             num_tiles *= 2
             fitted = most_fitted(merged, views, tiles_of(merged.means, views, num_tiles))
-            needed = min(needed, join_bytes(total, fitted, each, pixels, by_tiles=True))
-    kept = min(STATISTICS_BYTES_PER_PX * sum(pixels), most_statistics_bytes, max(0.0, memory_bytes - needed))
-    return JoinMemory(num_tiles=num_tiles, needed_bytes=needed, statistics_bytes=int(kept), fits=needed <= memory_bytes)
+            needed = min(needed, join_bytes(total, fitted, splat_bytes, pixels, by_tiles=True))
+    statistics_bytes = min(STATISTICS_BYTES_PER_PX * sum(pixels), most_statistics_bytes, max(0.0, memory_bytes - needed))
+    return JoinMemory(num_tiles=num_tiles, needed_bytes=needed, statistics_bytes=int(statistics_bytes), fits=needed <= memory_bytes)
 
 
 def pixels_of(cameras: Sequence[Cameras], long_side_px: int) -> list[int]:

@@ -60,7 +60,7 @@ def ownership(places: ArrayLike, cameras: Sequence[Cameras], claims: Claims | No
     if not cameras:
         raise BadInput("no cameras of any model were given to say whose a place is: pass one set per model.")
     checked = check_array("places", places, (None, 3))
-    covered = np.stack([coverage(checked, own) for own in cameras], axis=1)
+    covered = np.stack([coverage(checked, model_cameras) for model_cameras in cameras], axis=1)
     best = covered.max(axis=1)
     owner = covered.argmax(axis=1)
     if claims is not None:
@@ -75,16 +75,16 @@ def find_owners(models: Sequence[Splats], cameras: Sequence[Cameras], claims: Cl
     """Owners of the places of every model's Gaussians, as `ownership`; a Gaussian stays its own
     model's where the owner has nothing."""
     owned = [ownership(model.means, cameras, claims) for model in models]
-    centers = np.concatenate([own.centers for own in cameras])
+    centers = np.concatenate([model_cameras.centers for model_cameras in cameras])
     radius = max(float(np.linalg.norm(np.ptp(centers, axis=0))) / 2, float(np.finfo(np.float32).tiny))
     cells = [_cells_of((model.means.astype(np.float64) - centers.mean(axis=0)) / radius) for model in models]
     present = [_sum_nearby(cell, model.opacities) for cell, model in zip(cells, models, strict=True)]
-    kept = []
+    owners = []
     for index, (places, cell) in enumerate(zip(owned, cells, strict=True)):
         of_owner = np.stack([nearby[cell] for nearby in present])[places.owner, np.arange(len(cell))]
         nothing = of_owner < KNOWN_SHARE * present[index][cell]
-        kept.append(Ownership(owner=np.where(nothing, index, places.owner), contested=places.contested))
-    return kept
+        owners.append(Ownership(owner=np.where(nothing, index, places.owner), contested=places.contested))
+    return owners
 
 
 def _cells_of(places: NDArray[np.floating]) -> NDArray[np.int64]:

@@ -49,9 +49,9 @@ def retrain(
     train: TrainConfig,
     join: Join,
     options: FitOptions,
-    held: Splats | None = None,
+    frozen: Splats | None = None,
 ) -> Retrained:
-    """Fit the Gaussians `moving` (N) to `views`, in the presence of those `held`, which are
+    """Fit the Gaussians `moving` (N) to `views`, in the presence of those `frozen`, which are
     rendered and keep their bits.
 
     What no view can show takes no memory and no part, of either.
@@ -59,12 +59,12 @@ def retrain(
     reached = reached_by(moving, views.cameras)
     start = moving.select(reached)
     steady = None
-    if held is not None:
-        shown = held.select(reached_by(held, views.cameras))
-        start = concatenate_splats([shown, start])
-        steady = np.arange(len(start)) < len(shown)
+    if frozen is not None:
+        around = frozen.select(reached_by(frozen, views.cameras))
+        start = concatenate_splats([around, start])
+        steady = np.arange(len(start)) < len(around)
     config = retraining_config(train, join, start, len(views))
-    result = fit_splats(start, views, config, replace(options, held=steady, steps=Steps(end=RATES_END)))
+    result = fit_splats(start, views, config, replace(options, frozen=steady, steps=Steps(end=RATES_END)))
     fitted = result.splats if steady is None else result.splats.select(~steady)
     return Retrained(trained=replace(result, splats=without_dead(fitted)[0]), reached=reached)
 

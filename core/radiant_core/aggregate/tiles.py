@@ -50,9 +50,9 @@ class Tile:
 
     def views(self, views: TrainingViews) -> TrainingViews:
         """Those that show the tile, cropped."""
-        shown = views.select(list(self.rows))
-        weights = None if shown.weights is None else crop_images(shown.weights, self.windows)
-        return TrainingViews(cameras=self.cameras(views.cameras), images=crop_images(shown.images, self.windows), weights=weights)
+        selected = views.select(list(self.rows))
+        weights = None if selected.weights is None else crop_images(selected.weights, self.windows)
+        return TrainingViews(cameras=self.cameras(views.cameras), images=crop_images(selected.images, self.windows), weights=weights)
 
 
 def tile_labels(means: NDArray[np.floating], num_tiles: int) -> NDArray[np.int64]:
@@ -76,8 +76,8 @@ def tiles_of(means: NDArray[np.floating], cameras: Cameras, num_tiles: int) -> l
     tiles = []
     for tile in range(num_tiles):
         fitted = labels == tile
-        found = dict(_windows(means[fitted], cameras))
-        tiles.append(Tile(fitted=fitted, rows=tuple(found), windows=tuple(found.values())))
+        windows = dict(_windows(means[fitted], cameras))
+        tiles.append(Tile(fitted=fitted, rows=tuple(windows), windows=tuple(windows.values())))
     return tiles
 
 
@@ -103,17 +103,17 @@ def retrain_by_tiles(
     for index, tile in enumerate(tiles):
         if not tile.rows:
             continue
-        shown = tile.views(views)
-        beside = [part for other, part in enumerate(parts) if other != index]
-        around = concatenate_splats([part.select(reached_by(part, shown.cameras)) for part in beside])
+        tile_views = tile.views(views)
+        neighbours = [part for number, part in enumerate(parts) if number != index]
+        around = concatenate_splats([part.select(reached_by(part, tile_views.cameras)) for part in neighbours])
         settings = replace(train, seed=train.seed + index)
         report = _report_after(len(results), len(tiles), options.report)
-        own = replace(options, checkpoints=NoCheckpoints(), report=report, extent=extent)
-        made = retrain(parts[index], shown, settings, join, own, held=around)
-        reached[np.flatnonzero(tile.fitted)[made.reached]] = True
-        parts[index] = concatenate_splats([made.splats, parts[index].select(~made.reached)])
-        num_fitted[index] = len(made.splats)
-        results.append(replace(made.trained, splats=nothing))
+        tile_options = replace(options, checkpoints=NoCheckpoints(), report=report, extent=extent)
+        retrained = retrain(parts[index], tile_views, settings, join, tile_options, frozen=around)
+        reached[np.flatnonzero(tile.fitted)[retrained.reached]] = True
+        parts[index] = concatenate_splats([retrained.splats, parts[index].select(~retrained.reached)])
+        num_fitted[index] = len(retrained.splats)
+        results.append(replace(retrained.trained, splats=nothing))
     if not results:
         return Retrained(trained=TrainResult(splats=nothing, num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0), reached=reached)
     fitted = [part.select(np.arange(count)) for part, count in zip(parts, num_fitted, strict=True)]
@@ -122,7 +122,7 @@ def retrain_by_tiles(
 
 def _report_after(num_done: int, num_tiles: int, report: Callable[[TrainProgress], None]) -> Callable[[TrainProgress], None]:
     """Progress over all tiles, taken to have as many steps as this one."""
-    return lambda own: report(replace(own, step=num_done * own.num_steps + own.step, num_steps=num_tiles * own.num_steps))
+    return lambda tile: report(replace(tile, step=num_done * tile.num_steps + tile.step, num_steps=num_tiles * tile.num_steps))
 
 
 def _sum_of(results: Sequence[TrainResult]) -> TrainResult:

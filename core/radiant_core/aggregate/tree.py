@@ -87,8 +87,8 @@ def refined_at(node_id: str, number: int = 1) -> str:
 def refines_for(node_id: str) -> str:
     """The id of the device, edge or cloud that refines at this node, in whichever round; any other
     id as it is."""
-    found = _ROUND.fullmatch(node_id)
-    return found[1] if found else node_id
+    match = _ROUND.fullmatch(node_id)
+    return match[1] if match else node_id
 
 
 def scored_at(node_id: str) -> str:

@@ -69,14 +69,14 @@ class EdgeBorders:
         for start in range(0, len(points_xy), block):
             rows = slice(start, start + block)
             powers = _powers(points_xy[rows], self.plan)
-            own = powers.argmin(axis=1)
+            owner = powers.argmin(axis=1)
             gaps = np.full(powers.shape, np.inf)
-            least = np.take_along_axis(powers, own[:, None], axis=1)
-            np.divide(powers - least, 2 * spacing[own], out=gaps, where=spacing[own] > 0)
-            other = gaps.argmin(axis=1)
-            distances[rows] = np.take_along_axis(gaps, other[:, None], axis=1)[:, 0]
-            found = np.stack([np.minimum(own, other), np.maximum(own, other)], axis=1)
-            pairs[rows] = np.where(np.isfinite(distances[rows])[:, None], found, -1)
+            least = np.take_along_axis(powers, owner[:, None], axis=1)
+            np.divide(powers - least, 2 * spacing[owner], out=gaps, where=spacing[owner] > 0)
+            neighbour = gaps.argmin(axis=1)
+            distances[rows] = np.take_along_axis(gaps, neighbour[:, None], axis=1)[:, 0]
+            sorted_pairs = np.stack([np.minimum(owner, neighbour), np.maximum(owner, neighbour)], axis=1)
+            pairs[rows] = np.where(np.isfinite(distances[rows])[:, None], sorted_pairs, -1)
         return NearestBorder(distance_m=distances, pair=pairs)
 
 
@@ -143,13 +143,13 @@ def _cuts(plan: EdgePlan) -> list[tuple[tuple[int, int], FloatArray, float]]:
     return [((a, b), *_separating_side(plan.strips[a], plan.strips[b])) for a, b in pairwise(used)]
 
 
-def _separating_side(strip: FloatArray, other: FloatArray) -> tuple[FloatArray, float]:
-    """The side of a convex polygon (V,2) that `other` lies farthest beyond: normal n and n · x."""
+def _separating_side(strip: FloatArray, polygon: FloatArray) -> tuple[FloatArray, float]:
+    """The side of a convex `strip` (V,2) that `polygon` lies farthest beyond: n and n · x."""
     strip = strip if polygon_area_m2(strip) > 0 else strip[::-1]
     sides = np.roll(strip, -1, axis=0) - strip
     lengths = np.linalg.norm(sides, axis=1)
     strip, sides, lengths = strip[lengths > 0], sides[lengths > 0], lengths[lengths > 0]
     normals = np.column_stack([sides[:, 1], -sides[:, 0]]) / lengths[:, None]
-    beyond = ((other[None] - strip[:, None]) * normals[:, None]).sum(axis=2).min(axis=1)
+    beyond = ((polygon[None] - strip[:, None]) * normals[:, None]).sum(axis=2).min(axis=1)
     best = int(beyond.argmax())
     return normals[best], float(normals[best] @ strip[best])

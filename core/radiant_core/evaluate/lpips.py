@@ -150,12 +150,12 @@ def load_lpips(path: Path, network: LpipsNetwork) -> Lpips:
                 f"{path} holds {len(backbones)} files {_NETWORKS[network].backbone_files} and {int(heads.is_file())} {heads.name}:"
                 " put torchvision's backbone and the heads of lpips 0.1 there, one of each."
             )
-        found: dict[str, Any] = {**_read_pth(backbones[0]), **_read_pth(heads)}
+        tensors: dict[str, Any] = {**_read_pth(backbones[0]), **_read_pth(heads)}
     elif path.is_file():
-        found = _read_safetensors(path, network)
+        tensors = _read_safetensors(path, network)
     else:
         raise BadInput(f"there are no LPIPS weights at {path}: give a folder with the .pth files or one safetensors file.")
-    weights = {name: _check_tensor(path, name, found.get(name), shape) for name, shape in _shapes(network).items()}
+    weights = {name: _check_tensor(path, name, tensors.get(name), shape) for name, shape in _shapes(network).items()}
     return Lpips(network=network, weights=weights)
 
 
@@ -208,15 +208,15 @@ def _read_pth(path: Path) -> dict[Any, Any]:
         with warnings.catch_warnings():
             # It warns of odd pickles; what comes of them is checked below.
             warnings.simplefilter("ignore")
-            found = torch.load(path, map_location="cpu", weights_only=True)  # noqa: TID251
+            state = torch.load(path, map_location="cpu", weights_only=True)  # noqa: TID251
     except (
         *(pickle.UnpicklingError, struct.error, EOFError, OSError, RuntimeError, OverflowError, MemoryError, AssertionError),
         *(ValueError, TypeError, AttributeError, LookupError),
     ) as error:
         raise BadInput(f"cannot read {path} as a state dict of tensors: it is cut, damaged or another file; fetch it again.") from error
-    if not isinstance(found, dict):
-        raise BadInput(f"{path} holds a {type(found).__name__}, expected a state dict of tensors: check which file it is.")
-    return found
+    if not isinstance(state, dict):
+        raise BadInput(f"{path} holds a {type(state).__name__}, expected a state dict of tensors: check which file it is.")
+    return state
 
 
 def _read_safetensors(path: Path, network: LpipsNetwork) -> dict[str, Tensor]:

@@ -51,7 +51,7 @@ def _coverage_and_views(places: FloatArray, cameras: Cameras) -> tuple[FloatArra
     """Coverage (K,) of places (K,3), and by how many images each is shown (K,)."""
     covered, num_views = np.zeros(len(places)), np.zeros(len(places))
     for index in range(len(cameras)):
-        own = coverage(places, cameras.select(np.array([index])))
-        covered += own
-        num_views += own > 0
+        camera_coverage = coverage(places, cameras.select(np.array([index])))
+        covered += camera_coverage
+        num_views += camera_coverage > 0
     return covered, num_views

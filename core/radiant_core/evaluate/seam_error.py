@@ -182,15 +182,15 @@ def _seam_mask(
     labels = np.full((height, width), UNCOUNTED, np.int16)
     labels[counted] = INTERIOR
     distance_m = np.full(int(counted.sum()), half_band_m)
-    found = np.full(len(distance_m), INTERIOR, np.int16)
+    counted_labels = np.full(len(distance_m), INTERIOR, np.int16)
     for kind in kinds:
         nearest = kind.nearest(places[counted])
         nearer = np.flatnonzero((nearest.distance_m <= distance_m) & (nearest.pair[:, 0] >= 0))
         distance_m[nearer] = nearest.distance_m[nearer]
-        pairs, which = np.unique(nearest.pair[nearer], axis=0, return_inverse=True)
+        pairs, pair_indices = np.unique(nearest.pair[nearer], axis=0, return_inverse=True)
         names = [(kind.names[a], kind.names[b]) for a, b in pairs]
-        found[nearer] = np.array([numbers.setdefault(name, len(numbers)) for name in names], np.int16)[which.ravel()]
-    labels[counted] = found
+        counted_labels[nearer] = np.array([numbers.setdefault(name, len(numbers)) for name in names], np.int16)[pair_indices.ravel()]
+    labels[counted] = counted_labels
     return SeamMask(labels=labels)
 
 

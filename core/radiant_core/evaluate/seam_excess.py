@@ -73,7 +73,7 @@ class SeamExcess:
     """Photographs of borders that have a figure, counted once per border."""
 
     @property
-    def found(self) -> bool | None:
+    def has_seam(self) -> bool | None:
         """Whether there is a seam; None where nothing can be said."""
         return None if self.at_least_db is None else self.at_least_db > MARGIN_DB
 
@@ -105,21 +105,21 @@ def border_errors(
         if view.image.shape != photograph.shape:
             raise BadInput(f"the render of {view.name!r} has the shape {view.image.shape}, its photograph {photograph.shape}.")
         places = ground_places(cameras, index, view.depth)
-        known = np.isfinite(places).all(axis=2) & (view.alpha >= OPAQUE)
+        valid = np.isfinite(places).all(axis=2) & (view.alpha >= OPAQUE)
         pixels = None if used is None else used[index]
-        known = known if pixels is None else known & pixels
-        row, column = np.nonzero(known)
+        valid = valid if pixels is None else valid & pixels
+        row, column = np.nonzero(valid)
         of_known = places[row, column]
         nearest, side = EdgeBorders(plan=plan).nearest(of_known), int(sides[index])
         # Errors and owners of the band alone: most pixels are far from a border.
         band = np.flatnonzero((nearest.distance_m <= half_band_m) & (nearest.pair == side).any(axis=1))
         pair, owners, at = nearest.pair[band], edge_owners(of_known[band], plan), (row[band], column[band])
         squared = ((view.image[at].astype(np.float64) - photograph[at]) ** 2).mean(axis=1)
-        for other in np.setdiff1d(pair, [side]):
-            at_border = (pair == other).any(axis=1)
-            before, beyond = squared[at_border & (owners == side)], squared[at_border & (owners == other)]
-            if min(len(before), len(beyond)) >= MIN_SHARE * known.size:
-                names = {"side": plan.edge_ids[side], "beyond": plan.edge_ids[other]}
+        for neighbour in np.setdiff1d(pair, [side]):
+            at_border = (pair == neighbour).any(axis=1)
+            before, beyond = squared[at_border & (owners == side)], squared[at_border & (owners == neighbour)]
+            if min(len(before), len(beyond)) >= MIN_SHARE * valid.size:
+                names = {"side": plan.edge_ids[side], "beyond": plan.edge_ids[neighbour]}
                 yield BorderError(**names, before_db=_mean_db(before), beyond_db=_mean_db(beyond))
 
 
@@ -129,8 +129,8 @@ def pooled_excess(errors: Iterable[BorderError]) -> SeamExcess:
     # Sorted, so that neither the order of the machines nor that of their photographs matters.
     for error in sorted(errors, key=lambda error: (error.side, error.beyond, error.beyond_db - error.before_db)):
         groups.setdefault((error.side, error.beyond), []).append((error.before_db, error.beyond_db))
-    told = {key for key, rows in groups.items() if len(rows) >= MIN_PHOTOGRAPHS}
-    both = sorted(key for key in told if key[::-1] in told)
+    judged = {key for key, rows in groups.items() if len(rows) >= MIN_PHOTOGRAPHS}
+    both = sorted(key for key in judged if key[::-1] in judged)
     if not both:
         return SeamExcess(excess_db=None, at_least_db=None, num_photographs=0)
     before, beyond = ([np.array([[row[part] for row in groups[key]]]) for key in both] for part in (0, 1))

@@ -35,8 +35,8 @@ def count_shown_pixels(splats: Splats, cameras: Cameras, backend: Backend = "aut
         one = slice(index, index + 1)
         viewmats, Ks = torch.tensor(cameras.cam_from_world[one]), torch.tensor(cameras.Ks[one])
         rasterize(tensors, viewmats, Ks, int(width), int(height), sh_degree=0, backend=backend).images[..., 0].sum().backward()
-    shown = np.zeros(len(splats)) if tensors.sh0.grad is None else tensors.sh0.grad[:, 0, 0].cpu().numpy().astype(np.float64)
-    return shown / SH_C0
+    num_pixels = np.zeros(len(splats)) if tensors.sh0.grad is None else tensors.sh0.grad[:, 0, 0].cpu().numpy().astype(np.float64)
+    return num_pixels / SH_C0
 
 
 def count_shown_photographs(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> FloatArray:
@@ -44,10 +44,10 @@ def count_shown_photographs(splats: Splats, cameras: Cameras, backend: Backend =
     the largest of them, which are rendered `SHARES_SIDE_PX` wide at most; Gaussians that no camera
     can see are not rendered."""
     cameras = cameras.scaled(SHARES_SIDE_PX)
-    shown, rows = np.zeros(len(splats)), np.flatnonzero(reached_by(splats, cameras))
+    shares, rows = np.zeros(len(splats)), np.flatnonzero(reached_by(splats, cameras))
     if len(rows):
-        shown[rows] = count_shown_pixels(splats.select(rows), cameras, backend) / cameras.sizes_wh.prod(axis=1).max()
-    return shown
+        shares[rows] = count_shown_pixels(splats.select(rows), cameras, backend) / cameras.sizes_wh.prod(axis=1).max()
+    return shares
 
 
 def select_strongest(splats: Splats, cameras: Cameras, count: int, backend: Backend = "auto") -> Splats:

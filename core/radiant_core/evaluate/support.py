@@ -30,12 +30,12 @@ MIN_SHOWN_PX = 0.25
 
 
 def support_of(
-    splats: Splats, cameras: Cameras, backend: Backend = "auto", report: Callable[[int, int], None] = lambda done, total: None
+    splats: Splats, cameras: Cameras, backend: Backend = "auto", report: Callable[[int, int], None] = lambda num_done, total: None
 ) -> Support:
     """The support of N Gaussians by the V cameras that they were trained on, at their sizes;
     `report` hears how many of them are done."""
-    shown = np.zeros(len(splats))
-    seen: list[NDArray[np.int64]] = []
+    shown_px = np.zeros(len(splats))
+    rows_by_view: list[NDArray[np.int64]] = []
     # Grey, so that no colour is clamped, and with it the derivative.
     grey = replace(splats, sh0=np.zeros_like(splats.sh0), shN=np.zeros((len(splats), 0, 3), np.float32))
     tensors = SplatTensors.from_splats(grey, device=device_of(resolve_backend(backend)))
@@ -47,51 +47,51 @@ def support_of(
         images = rasterize(tensors, viewmats, Ks, int(width), int(height), sh_degree=0, backend=backend).images
         images[..., 0].sum().backward()
         weights = np.zeros(len(splats)) if tensors.sh0.grad is None else tensors.sh0.grad[:, 0, 0].cpu().numpy() / SH_C0
-        shown += weights
+        shown_px += weights
         # A view of a large scene sees a small part of it: rows take less than a table of all.
-        seen.append(np.flatnonzero(weights >= MIN_SHOWN_PX))
+        rows_by_view.append(np.flatnonzero(weights >= MIN_SHOWN_PX))
         report(index + 1, len(cameras))
     return Support(
-        num_views=_counts(seen, len(splats)),
-        parallax_deg=largest_angles_deg(splats.means.astype(np.float64), cameras.centers, seen),
-        shown_px=shown,
+        num_views=_counts(rows_by_view, len(splats)),
+        parallax_deg=largest_angles_deg(splats.means.astype(np.float64), cameras.centers, rows_by_view),
+        shown_px=shown_px,
     )
 
 
-def largest_angles_deg(places: FloatArray, centers: FloatArray, seen: Sequence[NDArray[np.int64]]) -> FloatArray:
-    """Angle (N,) at places (N,3) between two of the centres (V,3) that see them, of which `seen`
+def largest_angles_deg(places: FloatArray, centers: FloatArray, rows_by_view: Sequence[NDArray[np.int64]]) -> FloatArray:
+    """Angle (N,) at places (N,3) between two of the centres (V,3) that see them; `rows_by_view`
     holds the rows of what each sees; 0 for fewer than two.
 
     From any seeing centre to the farthest one, and from that to its farthest: the largest angle of
     centres on an arc, and never less than half of it. O(V N).
     """
     reference = np.zeros(len(places), np.int64)
-    for index in reversed(range(len(seen))):
-        reference[seen[index]] = index
+    for index in reversed(range(len(rows_by_view))):
+        reference[rows_by_view[index]] = index
     angles = np.zeros(len(places))
     for _ in range(2):
-        angles, reference = _farthest_from(places, centers, seen, reference)
-    return np.where(_counts(seen, len(places)) > 1, angles, 0.0)
+        angles, reference = _farthest_from(places, centers, rows_by_view, reference)
+    return np.where(_counts(rows_by_view, len(places)) > 1, angles, 0.0)
 
 
-def _counts(seen: Sequence[NDArray[np.int64]], count: int) -> NDArray[np.int64]:
+def _counts(rows_by_view: Sequence[NDArray[np.int64]], count: int) -> NDArray[np.int64]:
     """In how many of the lists each of the rows (N,) is."""
     counts = np.zeros(count, np.int64)
-    for rows in seen:
+    for rows in rows_by_view:
         counts[rows] += 1
     return counts
 
 
 def _farthest_from(
-    places: FloatArray, centers: FloatArray, seen: Sequence[NDArray[np.int64]], start: NDArray[np.int64]
+    places: FloatArray, centers: FloatArray, rows_by_view: Sequence[NDArray[np.int64]], start: NDArray[np.int64]
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Per place the largest angle in degrees between centre `start` (N,) and one that sees it, and
     which that is."""
     best, farthest = np.zeros(len(places)), start.copy()
-    for index, rows in enumerate(seen):
-        own, away = centers[start[rows]] - places[rows], centers[index] - places[rows]
+    for index, rows in enumerate(rows_by_view):
+        toward_start, away = centers[start[rows]] - places[rows], centers[index] - places[rows]
         # By the sine as well: the cosine alone knows no angle below 1e-8.
-        angle = np.arctan2(np.linalg.norm(np.cross(own, away), axis=1), (own * away).sum(axis=1))
+        angle = np.arctan2(np.linalg.norm(np.cross(toward_start, away), axis=1), (toward_start * away).sum(axis=1))
         wider = angle > best[rows]
         best[rows[wider]], farthest[rows[wider]] = angle[wider], index
     return np.degrees(best), farthest

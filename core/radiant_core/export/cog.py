@@ -48,23 +48,23 @@ class _Level:
 def write_cog(path: Path, levels: Sequence[Path], *, big: bool) -> None:
     """Join tiled little-endian TIFFs of one page each, the full size first and of the same form as
     `big` says, atomically. Raises CannotWrite if it fails."""
-    read = [_read_level(level, is_reduced=index > 0) for index, level in enumerate(levels)]
+    tables = [_read_level(level, is_reduced=index > 0) for index, level in enumerate(levels)]
     header = struct.pack("<2sHHHQ", b"II", 43, 8, 0, 16) if big else struct.pack("<2sHI", b"II", 42, 8)
-    data_at = len(header) + sum(len(_directory(level, [0] * len(level.offsets), 0, 0, big=big)) for level in read)
-    places: list[list[int]] = [[] for _ in read]
-    for index in reversed(range(len(read))):
-        for size in read[index].sizes:
+    data_at = len(header) + sum(len(_directory(level, [0] * len(level.offsets), 0, 0, big=big)) for level in tables)
+    places: list[list[int]] = [[] for _ in tables]
+    for index in reversed(range(len(tables))):
+        for size in tables[index].sizes:
             places[index].append(data_at)
             data_at += size
     with atomic_writer(path) as file:
         file.write(header)
         at = len(header)
-        for index, level in enumerate(read):
+        for index, level in enumerate(tables):
             directory = _directory(level, places[index], at, 0, big=big)
-            next_at = at + len(directory) if index + 1 < len(read) else 0
+            next_at = at + len(directory) if index + 1 < len(tables) else 0
             file.write(_directory(level, places[index], at, next_at, big=big))
             at += len(directory)
-        for level in reversed(read):
+        for level in reversed(tables):
             _copy_tiles(level, file)
 
 

@@ -160,20 +160,20 @@ def halved(fine: NDArray[Any], raster: TiledRaster) -> NDArray[Any]:
     """Cells (2T,2T,B) of a raster at half the size (T,T,B), by what is known of each four."""
     side = fine.shape[0] // 2
     fours = fine.reshape(side, 2, side, 2, -1).swapaxes(1, 2).reshape(side, side, 4, -1).astype(np.float64)
-    known = fours[..., 3:4] > 0 if raster.colors else np.ones_like(fours[..., :1], bool)
+    has_value = fours[..., 3:4] > 0 if raster.colors else np.ones_like(fours[..., :1], bool)
     if raster.no_data is not None:
-        known = known & (fours[..., :1] != raster.no_data)
-    weights = np.broadcast_to(known.astype(np.float64), fours.shape).copy()
+        has_value = has_value & (fours[..., :1] != raster.no_data)
+    weights = np.broadcast_to(has_value.astype(np.float64), fours.shape).copy()
     if raster.colors:
         weights[..., :3] *= fours[..., 3:4]
         weights[..., 3] = 1.0
     total = weights.sum(axis=2)
     coarse = np.divide((weights * fours).sum(axis=2), total, out=np.zeros_like(total), where=total > 0)
-    first = np.take_along_axis(fours, known.argmax(axis=2)[:, :, None, :1], axis=2)[:, :, 0]
+    first = np.take_along_axis(fours, has_value.argmax(axis=2)[:, :, None, :1], axis=2)[:, :, 0]
     for band in raster.classes:
         coarse[..., band] = first[..., band]
     if raster.no_data is not None:
-        coarse[(~known[..., 0]).all(axis=2)] = raster.no_data
+        coarse[(~has_value[..., 0]).all(axis=2)] = raster.no_data
     return np.rint(coarse).astype(raster.dtype) if raster.dtype is np.uint8 else coarse.astype(raster.dtype)
 
 

@@ -49,7 +49,7 @@ def save_lod(
     splats: Splats,
     regions: Sequence[LodRegion],
     limits: LodLimits = DEFAULT_LIMITS,
-    report: Callable[[int, int], None] = lambda done, total: None,
+    report: Callable[[int, int], None] = lambda num_done, total: None,
 ) -> LodFigures:
     """Write a model into the existing empty `folder`.
 
@@ -78,8 +78,8 @@ def save_lod(
     for chunk in chunks_of(splats, layout, report):
         for level, model in enumerate(chunk.levels):
             name = f"{level}_{MAX_REGIONS * chunk.number + chunk.region}"
-            found = save_sog_folder(folder / name, model)
-            errors += [(len(model), found)] if level == 0 else []
+            error = save_sog_folder(folder / name, model)
+            errors += [(len(model), error)] if level == 0 else []
             files.append(f"{name}/meta.json")
         counts += [len(model) for model in chunk.levels]
         trees.append(_nodes(chunk.tree, chunk, len(files) - layout.num_levels))
@@ -129,7 +129,7 @@ def _bound(box: FloatArray) -> dict[str, list[float]]:
 def _together(errors: list[tuple[int, SogErrors]]) -> SogErrors:
     weights = np.array([count for count, _ in errors], np.float64)
     rms = {
-        name: float(np.sqrt(np.average([getattr(found, name) ** 2 for _, found in errors], weights=weights)))
+        name: float(np.sqrt(np.average([getattr(error, name) ** 2 for _, error in errors], weights=weights)))
         for name in ("log_scale_rms", "sh0_rms", "shN_rms")
     }
-    return replace(errors[0][1], position_max_m=max(found.position_max_m for _, found in errors), **rms)
+    return replace(errors[0][1], position_max_m=max(error.position_max_m for _, error in errors), **rms)

@@ -133,20 +133,20 @@ def write_features(path: Path, features: Iterable[dict[str, Any]], crs: Crs | No
         file.write(b"\n]}\n")
 
 
-def waypoints_csv(waypoints: Waypoints, own: NDArray[np.int64], extra: NDArray[np.int64] | None = None) -> str:
-    """The rows `own` (K,) of waypoints as CSV, with `extra` ones as buffers, in their order."""
+def waypoints_csv(waypoints: Waypoints, rows: NDArray[np.int64], extra: NDArray[np.int64] | None = None) -> str:
+    """`rows` (K,) of waypoints as CSV, with `extra` ones as buffers, in their order."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")  # RFC 4180
-    angles, (flown, kept) = waypoints.heading_pitch_deg, _height_columns(waypoints)
-    header = (*CSV_HEADER[:2], *flown, CSV_HEADER[3], *(() if angles is None else ANGLE_HEADER), *kept)
+    angles, (flown, absolute) = waypoints.heading_pitch_deg, _height_columns(waypoints)
+    header = (*CSV_HEADER[:2], *flown, CSV_HEADER[3], *(() if angles is None else ANGLE_HEADER), *absolute)
     writer.writerow((*header, *(() if extra is None else ("role",))))
     buffered = set() if extra is None else set(extra.tolist())
-    indices = np.sort(own if extra is None else np.concatenate([own, extra]))
+    indices = np.sort(rows if extra is None else np.concatenate([rows, extra]))
     for index, (lat, lon, _) in zip(indices.tolist(), waypoints.lat_lon_alt[indices].tolist(), strict=True):
         looks = () if angles is None else tuple("" if np.isnan(angle) else f"{angle:.3f}" for angle in angles[index])
         role = () if extra is None else ("buffer" if index in buffered else "own",)
         name = cell_of_text(waypoints.names[index])
-        before, behind = ([_metres(float(column[index])) for column in columns.values()] for columns in (flown, kept))
+        before, behind = ([_metres(float(column[index])) for column in columns.values()] for columns in (flown, absolute))
         writer.writerow((f"{lat:.9f}", f"{lon:.9f}", *before, name, *looks, *behind, *role))
     return text.getvalue()
 

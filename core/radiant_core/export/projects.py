@@ -55,7 +55,7 @@ class ProjectCounts:
 
 
 def save_colmap_project(
-    folder: Path, scene: SfmScene, photographs: ProjectPhotographs, report: Callable[[int, int], None] = lambda done, total: None
+    folder: Path, scene: SfmScene, photographs: ProjectPhotographs, report: Callable[[int, int], None] = lambda num_done, total: None
 ) -> ProjectCounts:
     """Write the project into `folder`; `report(done, total)` after each photograph. BadInput
     without cameras, CannotWrite where the disk is full."""
@@ -65,7 +65,7 @@ def save_colmap_project(
 
 
 def save_nerfstudio_project(
-    folder: Path, scene: SfmScene, photographs: ProjectPhotographs, report: Callable[[int, int], None] = lambda done, total: None
+    folder: Path, scene: SfmScene, photographs: ProjectPhotographs, report: Callable[[int, int], None] = lambda num_done, total: None
 ) -> ProjectCounts:
     """As `save_colmap_project`, for nerfstudio, which wants a mask of every photograph or of
     none."""
@@ -133,7 +133,7 @@ def _copy_photographs(
     masks = photographs.masks
     any_masked = masks is not None and any((masks / mask_name(name)).is_file() for name in cameras.names)
     missing, num_masks = [], 0
-    for done, (name, size_wh) in enumerate(zip(cameras.names, cameras.sizes_wh.tolist(), strict=True), start=1):
+    for num_done, (name, size_wh) in enumerate(zip(cameras.names, cameras.sizes_wh.tolist(), strict=True), start=1):
         if (photographs.images / name).is_file():
             _copy(photographs.images / name, folder / IMAGES / name)
         else:
@@ -144,7 +144,7 @@ def _copy_photographs(
         elif any_masked and all_masked:
             save_mask(folder / MASKS / mask_name(name), np.ones(size_wh[::-1], bool))
             num_masks += 1
-        report(done, len(cameras))
+        report(num_done, len(cameras))
     return ProjectCounts(photographs=len(cameras) - len(missing), masks=num_masks, missing=tuple(missing))
 
 

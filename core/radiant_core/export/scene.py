@@ -37,15 +37,17 @@ def save_spz(path: Path, splats: Splats, version: SpzVersion = DEFAULT_SPZ_VERSI
     when no Gaussian lies within its reach."""
     bits = fraction_bits_of(splats)
     inside = within_reach(splats, bits)
-    kept = splats.select(inside)
-    if not len(kept):
+    result = splats.select(inside)
+    if not len(result):
         raise BadInput(
             f"cannot write {path}: none of {len(splats)} Gaussians lies within {SPZ_MAX_MEAN * 2.0 ** (SPZ_FRACTION_BITS - bits):.0f} units"
             " of the origin, as far as SPZ places Gaussians of this size: write PLY, or SOG."
         )
-    kept = replace(kept, log_scales=np.minimum(kept.log_scales, np.float32(SPZ_MAX_LOG_SCALE)))
+    result = replace(result, log_scales=np.minimum(result.log_scales, np.float32(SPZ_MAX_LOG_SCALE)))
     # Along a Z curve neighbours share their high bytes, which gzip finds.
-    write_atomic(path, spz_bytes(kept, bits) if version == 4 else gzip_spz_bytes(kept.select(morton_order(kept.means)), version, bits))
+    write_atomic(
+        path, spz_bytes(result, bits) if version == 4 else gzip_spz_bytes(result.select(morton_order(result.means)), version, bits)
+    )
     return spz_cuts(splats, bits)
 
 
@@ -77,7 +79,7 @@ def colmap_model(scene: SfmScene) -> ColmapModel:
         for index, kind in enumerate(kinds)
     ]
     # By camera, then by point: the order of an image's 2D points, which tracks refer to.
-    points_of = [np.unique(seen) for seen in scene.points_of_cameras()]
+    points_of = [np.unique(rows) for rows in scene.points_of_cameras()]
     images, tracks = [], [np.zeros((0, 3), np.int64)]
     for index, points in enumerate(points_of):
         pose = cameras.cam_from_world[index]

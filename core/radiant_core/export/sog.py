@@ -44,7 +44,7 @@ four runs' models three views each are 0.2 to 5.4 dB nearer than with 0, from th
 (demo 52.7, 51.1, 51.5 to 53.7, 52.1, 52.0; lewis 52.6, 48.1, 53.1 to 55.6, 53.5, 54.1)."""
 USUAL_SHARE, BEYOND_USUAL = 0.999, 1.5
 """Scales more than e^1.5 above this share of all count as much as those."""
-_KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+_STORED_COMPONENTS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,8 +221,8 @@ def _quat_bytes(quats: NDArray[np.float32]) -> NDArray[np.uint8]:
     largest = np.abs(unit).argmax(axis=1)
     rows = np.arange(len(unit))
     unit = np.where(unit[rows, largest, None] < 0, -unit, unit)
-    kept = unit[rows[:, None], _KEPT[largest]]
-    return np.column_stack([np.clip(np.rint(255 * (0.5 + kept / np.sqrt(2))), 0, 255), 252 + largest]).astype(np.uint8)
+    components = unit[rows[:, None], _STORED_COMPONENTS[largest]]
+    return np.column_stack([np.clip(np.rint(255 * (0.5 + components / np.sqrt(2))), 0, 255), 252 + largest]).astype(np.uint8)
 
 
 def _quantize(values: FloatArray, worth: FloatArray | None = None) -> tuple[NDArray[np.uint8], FloatArray]:
@@ -260,8 +260,8 @@ def _row_palette(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], FloatArr
         above = rows[every, axis] > means[labels, axis]
         # Groups of equal rows are not split: their numbers stay free.
         labels = 2 * labels + above
-        taken = np.bincount(labels) > 0
-        labels = (np.cumsum(taken) - 1)[labels]
+        is_used = np.bincount(labels) > 0
+        labels = (np.cumsum(is_used) - 1)[labels]
     return labels, _group_means(rows, labels, int(labels.max()) + 1)
 
 

@@ -55,7 +55,7 @@ def save_tiles(
     splats: Splats,
     regions: Sequence[LodRegion],
     options: TileOptions = DEFAULT_OPTIONS,
-    report: Callable[[int, int], None] = lambda done, total: None,
+    report: Callable[[int, int], None] = lambda num_done, total: None,
 ) -> tuple[int, ...]:
     """Write a model of at least one Gaussian into the existing empty `folder`. Returns the
     Gaussians of each level; raises BadInput as `save_lod`."""

@@ -82,11 +82,11 @@ def _write_stage(path: Path, splats: Splats, meters_per_unit: float, about: Sequ
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, ROOT).GetPrim())
     prim = UsdVol.ParticleField3DGaussianSplat.Define(stage, SPLATS)
     _fill(prim, splats)
-    own: dict[str, Any] = {"radiant:about": "\n".join(about)} if about else {}
+    metadata: dict[str, Any] = {"radiant:about": "\n".join(about)} if about else {}
     if splats.antialiased:
-        own["radiant:antialiased"] = True
-    if own:
-        stage.GetRootLayer().customLayerData = own
+        metadata["radiant:antialiased"] = True
+    if metadata:
+        stage.GetRootLayer().customLayerData = metadata
     _require_lengths(prim, len(splats), splats.sh_degree)
     stage.GetRootLayer().Save()
 

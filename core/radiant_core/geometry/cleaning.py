@@ -161,12 +161,12 @@ class Cleaned:
 
 def clean(splats: Splats, cleaning: Cleaning, around: Surroundings = Surroundings()) -> Cleaned:
     """Apply all steps; BadInput where a step needs what is not there."""
-    kept, removed = np.ones(len(splats), bool), []
+    keep_mask, removed = np.ones(len(splats), bool), []
     for step in cleaning.steps:
-        before = int(kept.sum())
-        kept &= keeps(step, splats, around)
-        removed.append(before - int(kept.sum()))
-    return Cleaned(kept=kept, removed=tuple(removed))
+        before = int(keep_mask.sum())
+        keep_mask &= keeps(step, splats, around)
+        removed.append(before - int(keep_mask.sum()))
+    return Cleaned(kept=keep_mask, removed=tuple(removed))
 
 
 def keeps(step: CleaningStep, splats: Splats, around: Surroundings = Surroundings()) -> NDArray[np.bool_]:
@@ -188,26 +188,26 @@ def keeps(step: CleaningStep, splats: Splats, around: Surroundings = Surrounding
 def keeps_places(cleaning: Cleaning, places: FloatArray, regions: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
     """Which places (N,3) the polygons and regions of a cleaning keep; its other steps are about
     Gaussians. Raises BadInput as `clean`."""
-    kept = np.ones(len(places), bool)
+    keep_mask = np.ones(len(places), bool)
     for step in cleaning.steps:
         if isinstance(step, PolygonStep):
-            kept &= _polygon_keeps(step, places)
+            keep_mask &= _polygon_keeps(step, places)
         elif isinstance(step, RegionsStep):
-            kept &= _regions_keep(step, places, regions)
-    return kept
+            keep_mask &= _regions_keep(step, places, regions)
+    return keep_mask
 
 
 def keeps_land(cleaning: Cleaning, places: FloatArray, regions: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
     """On which land (N,2) something may be left at some height; BadInput as `clean`."""
-    kept = np.ones(len(places), bool)
+    keep_mask = np.ones(len(places), bool)
     for step in cleaning.steps:
         if isinstance(step, PolygonStep):
             has_heights = step.low is not None or step.high is not None
             # What lies outside of the heights of a polygon that is taken out stays.
-            kept &= True if step.keep == "outside" and has_heights else _within(_polygon(step), places) == (step.keep == "inside")
+            keep_mask &= True if step.keep == "outside" and has_heights else _within(_polygon(step), places) == (step.keep == "inside")
         elif isinstance(step, RegionsStep):
-            kept &= _regions_keep(step, places, regions)
-    return kept
+            keep_mask &= _regions_keep(step, places, regions)
+    return keep_mask
 
 
 def describe(step: CleaningStep, unit: str) -> str:
@@ -287,6 +287,6 @@ def _number(value: float | None) -> str:
     return "any" if value is None else f"{value:g}"
 
 
-def _require(fits: bool, what: str, expected: str) -> None:
+def _require(fits: bool, rule: str, expected: str) -> None:
     if not fits:
-        raise BadInput(f"{what} is no rule of a cleaning: expected {expected}.")
+        raise BadInput(f"{rule} is no rule of a cleaning: expected {expected}.")

@@ -95,8 +95,8 @@ class _Selection(Strict):
     def step(self) -> SelectionStep:
         """The step."""
         strokes = (stroke.model_dump() for stroke in self.strokes)
-        made = (Stroke(**{**each, "front": None if each["front"] is None else Front(**each["front"])}) for each in strokes)
-        return SelectionStep(strokes=tuple(made), keep=self.keep)
+        parsed = (Stroke(**{**record, "front": None if record["front"] is None else Front(**record["front"])}) for record in strokes)
+        return SelectionStep(strokes=tuple(parsed), keep=self.keep)
 
 
 _Step = Annotated[_Polygon | _Regions | _Support | _Opacity | _Size | _Selection, Field(discriminator="kind")]
@@ -137,7 +137,7 @@ def save_cleaning(path: Path, cleaning: Cleaning) -> None:
 
 def step_record(step: CleaningStep) -> dict[str, object]:
     """A step as JSON values, with its kind."""
-    kind = next(name for name, made in KINDS.items() if isinstance(step, made))
+    kind = next(name for name, form in KINDS.items() if isinstance(step, form))
     return {"kind": kind, **{name: value for name, value in asdict(step).items() if value is not None}}
 
 

@@ -28,12 +28,12 @@ def coverage(places: ArrayLike, cameras: Cameras) -> FloatArray:
         projection = K @ pose[:3]
         depths = projection[2, :3] @ rows + projection[2, 3]
         front = np.flatnonzero(depths > 0)
-        shown, depths = rows[:, front], depths[front]
-        columns = np.abs((projection[0, :3] @ shown + projection[0, 3]) / depths * (2 / width) - 1)
-        lines = np.abs((projection[1, :3] @ shown + projection[1, 3]) / depths * (2 / height) - 1)
+        visible, depths = rows[:, front], depths[front]
+        columns = np.abs((projection[0, :3] @ visible + projection[0, 3]) / depths * (2 / width) - 1)
+        lines = np.abs((projection[1, :3] @ visible + projection[1, 3]) / depths * (2 / height) - 1)
         inside = 1 - np.maximum(columns, lines)
-        seen = np.flatnonzero(inside > 0)
-        covered[front[seen]] += np.minimum(1.0, inside[seen] / _RIM) * (K[0, 0] / width) / depths[seen]
+        inside_rows = np.flatnonzero(inside > 0)
+        covered[front[inside_rows]] += np.minimum(1.0, inside[inside_rows] / _RIM) * (K[0, 0] / width) / depths[inside_rows]
     return covered
 
 
@@ -43,10 +43,10 @@ def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
     means = splats.means.T.astype(np.float64)
     reached = np.zeros(len(splats), bool)
     for K, pose, (width, height) in zip(cameras.Ks, cameras.cam_from_world, cameras.sizes_wh, strict=True):
-        left = np.flatnonzero(~reached)
+        unreached = np.flatnonzero(~reached)
         # The sides of the pyramid, pointing inwards: columns 0 and width, rows 0 and height.
         sides = np.array([K[0] * [1, 0, 1], [-K[0, 0], 0, width - K[0, 2]], K[1] * [0, 1, 1], [0, -K[1, 1], height - K[1, 2]], [0, 0, 1]])
         sides /= np.linalg.norm(sides, axis=1, keepdims=True)
-        heights = (sides @ pose[:3, :3]) @ means[:, left] + (sides @ pose[:3, 3])[:, None]
-        reached[left] = heights.min(axis=0) + radii[left] > 0
+        heights = (sides @ pose[:3, :3]) @ means[:, unreached] + (sides @ pose[:3, 3])[:, None]
+        reached[unreached] = heights.min(axis=0) + radii[unreached] > 0
     return reached

@@ -129,11 +129,11 @@ def coarse_match(a: Splats, b: Splats, overlap: Overlap, seed: int) -> Sim3 | st
     has_more = max(len(overlap.a_cameras), len(overlap.b_cameras)) > FEW_COARSE_VIEWS
     few = [(FEW_COARSE_VIEWS, True)] if has_more else []
     for num_views, together in (*few, (MAX_COARSE_VIEWS, True), (MAX_COARSE_VIEWS, False)):
-        found = _at_common_cameras(a, b, overlap, num_views) if together else _at_own_cameras(a, b, overlap)
-        if not found:
+        matches = _at_common_cameras(a, b, overlap, num_views) if together else _at_own_cameras(a, b, overlap)
+        if not matches:
             reason = reason or "no view shows features of both"
             continue
-        a_points, b_points, tolerances = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        a_points, b_points, tolerances = (np.concatenate(parts) for parts in zip(*matches, strict=True))
         best = consensus(a_points, b_points, tolerances, seed)
         agreeing = 0 if best is None else int(best[1].sum())
         times = CLEARLY if num_views == FEW_COARSE_VIEWS else 1
@@ -144,23 +144,23 @@ def coarse_match(a: Splats, b: Splats, overlap: Overlap, seed: int) -> Sim3 | st
 
 
 def _at_common_cameras(a: Splats, b: Splats, overlap: Overlap, num_views: int) -> list[_Matched]:
-    found = []
+    matches = []
     for of_one in (overlap.a_cameras, overlap.b_cameras):
         cameras = _first(of_one, num_views)
         of_a, of_b = ModelViews.of(a, cameras), ModelViews.of(b, cameras)
         for index in range(len(cameras)):
-            known = (of_a.views[index].alpha > MIN_ALPHA) & (of_b.views[index].alpha > MIN_ALPHA)
-            if known.mean() >= MIN_COMMON_PIXELS:
-                found.append(_match_features(_features(of_a, index), _features(of_b, index)))
-    return found
+            both_visible = (of_a.views[index].alpha > MIN_ALPHA) & (of_b.views[index].alpha > MIN_ALPHA)
+            if both_visible.mean() >= MIN_COMMON_PIXELS:
+                matches.append(_match_features(_features(of_a, index), _features(of_b, index)))
+    return matches
 
 
 def _at_own_cameras(a: Splats, b: Splats, overlap: Overlap) -> list[_Matched]:
-    own = ((a, overlap.a_cameras), (b, overlap.b_cameras))
-    views = [ModelViews.of(model, _first(cameras, MAX_COARSE_VIEWS)) for model, cameras in own]
+    sides = ((a, overlap.a_cameras), (b, overlap.b_cameras))
+    views = [ModelViews.of(model, _first(cameras, MAX_COARSE_VIEWS)) for model, cameras in sides]
     features = [[_features(of_one, index) for index in range(len(of_one.cameras))] for of_one in views]
     # `consensus` requires a share of all pairs, which views without a common place would dilute.
-    matched = [_match_features(one, other) for one in features[0] for other in features[1]]
+    matched = [_match_features(first, second) for first in features[0] for second in features[1]]
     return sorted(matched, key=lambda pairs: -len(pairs[0]))[: 2 * MAX_COARSE_VIEWS]
 
 
@@ -179,7 +179,7 @@ def tracked_pairs(a: ModelViews, b: ModelViews, a_from_b: Sim3) -> PointPairs:
 
 
 def _track_from(
-    hub_views: ModelViews, index: int, other: ModelViews, other_from_hub: Sim3
+    hub_views: ModelViews, index: int, other_views: ModelViews, other_from_hub: Sim3
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Points (P,3) and covariances in the hub's model, then in the other, from one hub view."""
     nothing = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3))
@@ -190,23 +190,24 @@ def _track_from(
     hub = Hub(views=hub_views, index=index, pixels=pixels, grid=grid, grid_shape=grid_shape)
     center = hub_views.cameras.centers[index]
     across = {
-        j: follow(hub, other, j, other_from_hub, MAX_DEPTH_ERROR) for j in _nearest(other.cameras, other_from_hub.apply(center[None])[0])
+        j: follow(hub, other_views, j, other_from_hub, MAX_DEPTH_ERROR)
+        for j in _nearest(other_views.cameras, other_from_hub.apply(center[None])[0])
     }
-    kept = sum((good.astype(np.int64) for _, good in across.values()), np.zeros(len(pixels), np.int64)) >= 2
-    if not kept.any():
+    is_tracked = sum((good.astype(np.int64) for _, good in across.values()), np.zeros(len(pixels), np.int64)) >= 2
+    if not is_tracked.any():
         return nothing
-    own = {
-        j: follow(hub, hub_views, j, IDENTITY, MAX_DEPTH_ERROR, kept)
+    within = {
+        j: follow(hub, hub_views, j, IDENTITY, MAX_DEPTH_ERROR, is_tracked)
         for j in _nearest(hub_views.cameras, center, MAX_PARTNERS + 1)
         if j != index
     }
-    kept &= sum((good.astype(np.int64) for _, good in own.values()), np.zeros(len(pixels), np.int64)) >= 1
-    if not kept.any():
+    is_tracked &= sum((good.astype(np.int64) for _, good in within.values()), np.zeros(len(pixels), np.int64)) >= 1
+    if not is_tracked.any():
         return nothing
-    own[index] = pixels, np.ones(len(pixels), bool)
-    start = hub_views.lift(index, pixels[kept])[0]
-    here, here_covariances, here_px = triangulate(hub_views.cameras, _rays(own, kept), start)
-    there, there_covariances, there_px = triangulate(other.cameras, _rays(across, kept), other_from_hub.apply(start))
+    within[index] = pixels, np.ones(len(pixels), bool)
+    start = hub_views.lift(index, pixels[is_tracked])[0]
+    here, here_covariances, here_px = triangulate(hub_views.cameras, _rays(within, is_tracked), start)
+    there, there_covariances, there_px = triangulate(other_views.cameras, _rays(across, is_tracked), other_from_hub.apply(start))
     good = (here_px < MAX_RMS_PX) & (there_px < MAX_RMS_PX)
     limits = MAX_POINT_ERROR * np.linalg.norm(here - center, axis=1)
     good &= _deviations(here_covariances) < limits
@@ -219,10 +220,10 @@ def _deviations(covariances: FloatArray) -> FloatArray:
     return np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
 
 
-def _rays(followed: dict[int, tuple[FloatArray, NDArray[np.bool_]]], kept: NDArray[np.bool_]) -> Rays:
+def _rays(followed: dict[int, tuple[FloatArray, NDArray[np.bool_]]], is_tracked: NDArray[np.bool_]) -> Rays:
     """All that was found of the kept points, counted among them."""
-    new_index = np.cumsum(kept) - 1
-    chosen = {j: good & kept for j, (_, good) in followed.items()}
+    new_index = np.cumsum(is_tracked) - 1
+    chosen = {j: good & is_tracked for j, (_, good) in followed.items()}
     cameras = np.concatenate([np.full(int(good.sum()), j) for j, good in chosen.items()])
     points = np.concatenate([new_index[good] for good in chosen.values()])
     return Rays(cameras=cameras, points=points, pixels=np.concatenate([followed[j][0][good] for j, good in chosen.items()]))
@@ -249,8 +250,8 @@ def _match_features(a: tuple, b: tuple) -> _Matched:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
     candidates = cv2.BFMatcher().knnMatch(a[2], b[2], k=2)
     chosen = [pair[0] for pair in candidates if len(pair) == 2 and pair[0].distance < RATIO * pair[1].distance]
-    one, other = np.array([match.queryIdx for match in chosen], np.int64), np.array([match.trainIdx for match in chosen], np.int64)
-    return a[0][one], b[0][other], a[1][one]
+    a_rows, b_rows = np.array([match.queryIdx for match in chosen], np.int64), np.array([match.trainIdx for match in chosen], np.int64)
+    return a[0][a_rows], b[0][b_rows], a[1][a_rows]
 
 
 def _erode(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -266,12 +267,12 @@ def _sees(cameras: Cameras, points: FloatArray) -> NDArray[np.bool_]:
     return np.array([cameras.select([index]).any_sees(points) for index in range(len(cameras))]).reshape(len(cameras), len(points))
 
 
-def _covers(cameras: Cameras, sees: NDArray[np.bool_], points: FloatArray, own: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _covers(cameras: Cameras, sees: NDArray[np.bool_], points: FloatArray, of_model: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which points (P,) at least three cameras see from near enough, measured by how far they are
-    from the model's `own` points."""
+    from its points `of_model`."""
     distances = np.linalg.norm(points[None] - cameras.centers[:, None], axis=2)
-    seen_own = sees & own
-    if not seen_own.any():
+    seen_points = sees & of_model
+    if not seen_points.any():
         return np.zeros(len(points), bool)
-    limit = KNOWN_WITHIN * float(np.median([np.median(row[seen]) for row, seen in zip(distances, seen_own, strict=True) if seen.any()]))
+    limit = KNOWN_WITHIN * float(np.median([np.median(row[mask]) for row, mask in zip(distances, seen_points, strict=True) if mask.any()]))
     return (sees & (distances < limit)).sum(axis=0) >= MIN_KNOWING_CAMERAS

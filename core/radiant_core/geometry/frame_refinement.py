@@ -107,7 +107,7 @@ class _Pair:
         assert self.fit is not None
         return FrameEdge(a=self.a, b=self.b, fit=self.fit)
 
-    def other(self, model: int) -> int:
+    def partner_of(self, model: int) -> int:
         return self.b if model == self.a else self.a
 
 
@@ -116,9 +116,9 @@ def refine_frames(models: Sequence[PlacedModel], report: Report | None = None, s
     surfaces = [surface_points(model.splats, _largest_m(model.cameras))[0] for model in models]
     overlaps = _neighbours(models, surfaces)
     pairs = []
-    for done, ((a, b), overlap) in enumerate(overlaps.items()):
+    for num_done, ((a, b), overlap) in enumerate(overlaps.items()):
         if report is not None:
-            report(done, len(overlaps), " and ".join(models[index].name or f"model {index + 1}" for index in (a, b)))
+            report(num_done, len(overlaps), " and ".join(models[index].name or f"model {index + 1}" for index in (a, b)))
         pairs.append(_fit_pair(models, surfaces, (a, b), overlap, seed))
     if report is not None:
         report(len(overlaps), len(overlaps), "all frames at once")
@@ -143,16 +143,16 @@ def _middle(model: PlacedModel) -> FloatArray:
 
 def _neighbours(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray]) -> dict[tuple[int, int], Overlap]:
     """Pairs (a < b) with common ground: of each model the four best, and those chosen by others."""
-    found: dict[tuple[int, int], Overlap] = {}
+    overlaps: dict[tuple[int, int], Overlap] = {}
     for a, b in combinations(range(len(models)), 2):
         overlap = find_overlap(surfaces[a], models[a].cameras, surfaces[b], models[b].cameras)
         if overlap is not None and overlap.share >= MIN_SHARE:
-            found[a, b] = overlap
+            overlaps[a, b] = overlap
     chosen = set()
     for index in range(len(models)):
-        by_share = sorted((pair for pair in found if index in pair), key=lambda pair: -found[pair].share)
+        by_share = sorted((pair for pair in overlaps if index in pair), key=lambda pair: -overlaps[pair].share)
         chosen |= set(by_share[:MAX_NEIGHBOURS])
-    return {pair: found[pair] for pair in sorted(chosen)}
+    return {pair: overlaps[pair] for pair in sorted(chosen)}
 
 
 def _fit_pair(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray], pair: tuple[int, int], overlap: Overlap, seed: int) -> _Pair:
@@ -192,9 +192,9 @@ def _solve(centers: FloatArray, priors: list[FrameUncertainty], agreeing: list[_
     Lenses that few photographs leave open bend models apart in height. GPS that fixes places to
     centimetres would have them tilted by degrees for it; with the bias they are shifted.
     """
-    found = _solve_without_open_loops(centers, priors, agreeing)
-    if strains(found[0], centers, priors).max(initial=0) <= MAX_SIGMAS:
-        return found
+    solution = _solve_without_open_loops(centers, priors, agreeing)
+    if strains(solution[0], centers, priors).max(initial=0) <= MAX_SIGMAS:
+        return solution
     biased = [replace(prior, position_m=float(np.hypot(prior.position_m, GPS_BIAS_M))) for prior in priors]
     return _solve_without_open_loops(centers, biased, agreeing)
 
@@ -223,8 +223,8 @@ def _groups(num_models: int, used: Sequence[_Pair]) -> list[int]:
     """The number (M,) of the group that each model is joined to."""
     group = list(range(num_models))
     for pair in used:
-        one, other = group[pair.a], group[pair.b]
-        group = [one if number == other else number for number in group]
+        group_a, group_b = group[pair.a], group[pair.b]
+        group = [group_a if number == group_b else number for number in group]
     return group
 
 
@@ -235,7 +235,7 @@ def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int]
     is a pair that disagrees with GPS or with the loops, or, for a model joined to no other, one
     that should match and does not.
     """
-    photographs = {number: sum(size for size, other in zip(sizes, group, strict=True) if other == number) for number in set(group)}
+    photographs = {number: sum(size for size, label in zip(sizes, group, strict=True) if label == number) for number in set(group)}
     refusals: dict[int, str] = {}
     # From the largest group down, so that a refused model refuses no other.
     for pair in sorted(pairs, key=lambda pair: -max(photographs[group[pair.a]], photographs[group[pair.b]])):
@@ -272,7 +272,7 @@ def _verdict(index: int, model: PlacedModel, solved: SolvedFrames, used: Sequenc
         return RefinedFrame(status="alone", correction=IDENTITY, uncertainty=model.uncertainty, reason=reason)
     misses = [edge_xi(pair.edge, solved.corrections[pair.a], solved.corrections[pair.b])[:3] for pair in own_pairs]
     squares = [pair.edge.fit.residual_m**2 + float(miss @ miss) for pair, miss in zip(own_pairs, misses, strict=True)]
-    neighbours = tuple(sorted(pair.other(index) for pair in own_pairs))
+    neighbours = tuple(sorted(pair.partner_of(index) for pair in own_pairs))
     num_points, num_followed = (sum(getattr(pair.edge.fit, name) for pair in own_pairs) for name in ("num_pairs", "num_followed"))
     return RefinedFrame(
         status="ok",

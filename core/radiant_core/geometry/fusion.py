@@ -78,14 +78,14 @@ def fuse_apart(
         except OSError as error:
             raise BadInput(f"the depth views cannot be written to {folder}: {error.strerror or error}: free space there.") from error
         (folder / _SETTINGS).write_text(json.dumps(asdict(settings)))
-        found = _answer(folder, settings, report)
-        if "fitting_voxel" in found:
+        answer = _answer(folder, settings, report)
+        if "fitting_voxel" in answer:
             raise BadInput(
-                f"cells of {settings.voxel:.3g} take {found['num_blocks']:,} blocks of 16³ voxels, "
-                f"{(BASE_BYTES + found['num_blocks'] * BYTES_PER_BLOCK) / 1e9:.1f} GB, and {settings.max_blocks:,} are possible here: "
-                f"choose --resolution {round_up(found['fitting_voxel']):g} or coarser, or free memory."
+                f"cells of {settings.voxel:.3g} take {answer['num_blocks']:,} blocks of 16³ voxels, "
+                f"{(BASE_BYTES + answer['num_blocks'] * BYTES_PER_BLOCK) / 1e9:.1f} GB, and {settings.max_blocks:,} are possible here: "
+                f"choose --resolution {round_up(answer['fitting_voxel']):g} or coarser, or free memory."
             )
-        return Fusion(mesh=_load_mesh(folder / _MESH), voxel=found["voxel"], num_blocks=found["num_blocks"])
+        return Fusion(mesh=_load_mesh(folder / _MESH), voxel=answer["voxel"], num_blocks=answer["num_blocks"])
 
 
 def round_up(value: float) -> float:
@@ -151,10 +151,10 @@ def main(folder: Path, say: IO[str]) -> int:
         say.flush()
 
     def views(report: bool = False) -> Iterator[DepthView]:
-        for done, path in enumerate(paths, 1):
+        for num_done, path in enumerate(paths, 1):
             yield DepthView(**load_file(path))
             if report:
-                tell({"done": done, "total": len(paths)})
+                tell({"done": num_done, "total": len(paths)})
 
     def count(voxel: float) -> int:
         return count_blocks(views(), voxel, settings.max_depth)

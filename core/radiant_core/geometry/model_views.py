@@ -94,9 +94,9 @@ def sample_bilinear(image: NDArray[Any], pixels: FloatArray) -> FloatArray:
 
 def corners(views: ModelViews, index: int, count: int) -> FloatArray:
     """At most `count` well textured pixels (N,2) where the model is (Shi and Tomasi, CVPR 1994)."""
-    known = (views.views[index].alpha > MIN_ALPHA).astype(np.uint8)
-    found = cv2.goodFeaturesToTrack(views.grey[index], count, 0.01, 6, mask=known)
-    return np.zeros((0, 2)) if found is None else found[:, 0].astype(np.float64) + 0.5
+    mask = (views.views[index].alpha > MIN_ALPHA).astype(np.uint8)
+    points = cv2.goodFeaturesToTrack(views.grey[index], count, 0.01, 6, mask=mask)
+    return np.zeros((0, 2)) if points is None else points[:, 0].astype(np.float64) + 0.5
 
 
 def hub_map(hub: ModelViews, index: int) -> tuple[FloatArray, tuple[int, int]]:
@@ -129,14 +129,14 @@ class Rays:
 
 
 def follow(
-    hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_depth_error: float, wanted: NDArray[np.bool_] | None = None
+    hub: Hub, other_views: ModelViews, index: int, other_from_hub: Sim3, max_depth_error: float, wanted: NDArray[np.bool_] | None = None
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Where the hub's points (N,2) lie in view `index` of `other` (N,2) px, and which (N,) were
-    found there and back, of those `wanted` (N,) alone. A pixel is hidden where the other view's
-    rendered depth differs by more than the share `max_depth_error`."""
+    """Where the hub's points (N,2) lie in view `index` of `other_views` (N,2) px, and which (N,)
+    were found there and back, of those `wanted` (N,) alone. A pixel is hidden where the other
+    view's rendered depth differs by more than the share `max_depth_error`."""
     grey = hub.views.grey[hub.index]
     height, width = grey.shape
-    there, depths = other.project(index, other_from_hub.apply(hub.grid))
+    there, depths = other_views.project(index, other_from_hub.apply(hub.grid))
     maps = [
         cv2.resize(np.ascontiguousarray(values.reshape(hub.grid_shape), np.float32), (width, height))
         for values in (there[:, 0] - 0.5, there[:, 1] - 0.5, depths)
@@ -145,24 +145,24 @@ def follow(
     def warp(image: NDArray[Any]) -> NDArray[Any]:
         return cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
 
-    view = other.views[index]
+    view = other_views.views[index]
     visible = (warp(view.alpha) > MIN_ALPHA) & (np.abs(warp(view.depth) - maps[2]) < max_depth_error * maps[2])
     followed = hub.pixels.copy()
     good = _at(visible, hub.pixels) if wanted is None else wanted & _at(visible, hub.pixels)
     if not good.any():
         return followed, good
-    image = warp(other.grey[index])
+    image = warp(other_views.grey[index])
     # Points are followed one by one: each that is out already would cost as much as the others.
     chosen = np.flatnonzero(good)
     start = (hub.pixels[chosen] - 0.5).astype(np.float32)[:, None]
-    forth, found = _flow(grey, image, start)
+    forth, is_tracked = _flow(grey, image, start)
     landed = forth[:, 0].astype(np.float64) + 0.5
-    near = found & (np.linalg.norm(landed - hub.pixels[chosen], axis=1) < MAX_FLOW_PX) & _at(visible, landed)
+    near = is_tracked & (np.linalg.norm(landed - hub.pixels[chosen], axis=1) < MAX_FLOW_PX) & _at(visible, landed)
     chosen, start, forth, landed = chosen[near], start[near], forth[near], landed[near]
     good = np.zeros(len(good), bool)
     if len(chosen):
-        back, found = _flow(image, grey, forth)
-        good[chosen] = found & (np.linalg.norm((back - start)[:, 0], axis=1) < MAX_RETURN_PX)
+        back, is_tracked = _flow(image, grey, forth)
+        good[chosen] = is_tracked & (np.linalg.norm((back - start)[:, 0], axis=1) < MAX_RETURN_PX)
     followed[chosen] = np.column_stack([sample_bilinear(maps[0], landed), sample_bilinear(maps[1], landed)]) + 0.5
     return followed, good
 
@@ -171,19 +171,19 @@ def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatA
     """Points (P,3) where O rays meet, by least squares of reprojection errors from `start` (P,3);
     their covariances (P,3,3) m² for 0.5 px of error and RMS errors (P,) px, both before the last
     step; infinite where the point then lay behind one of its cameras. Pixels must be finite."""
-    points, num_points, seen = start.copy(), len(start), rays.points
+    points, num_points, point_rows = start.copy(), len(start), rays.points
     poses, Ks = cameras.cam_from_world[rays.cameras], cameras.Ks[rays.cameras]
     focal = Ks[:, [0, 1], [0, 1]]
-    H, squares = np.zeros((num_points, 3, 3)), np.zeros(len(seen))
+    H, squares = np.zeros((num_points, 3, 3)), np.zeros(len(point_rows))
     for _ in range(NUM_ITERATIONS):
-        in_camera = np.einsum("oij,oj->oi", poses[:, :3, :3], points[seen]) + poses[:, :3, 3]
+        in_camera = np.einsum("oij,oj->oi", poses[:, :3, :3], points[point_rows]) + poses[:, :3, 3]
         # A point that a step took behind a camera has no picture there: it no longer counts.
         ahead = (in_camera[:, 2] > MIN_Z) & (in_camera[:, 2] < MAX_Z)
         ahead &= np.abs(in_camera[:, :2]).max(axis=1) < MAX_TANGENT * np.where(ahead, in_camera[:, 2], 0)
         in_camera = np.where(ahead[:, None], in_camera, [0.0, 0.0, 1.0])
         z = in_camera[:, 2]
         residuals = rays.pixels - (in_camera[:, :2] / z[:, None] * focal + Ks[:, :2, 2])
-        jacobian = np.zeros((len(seen), 2, 3))
+        jacobian = np.zeros((len(point_rows), 2, 3))
         jacobian[:, 0, 0], jacobian[:, 1, 1] = focal.T / z
         jacobian[:, :, 2] = -focal * in_camera[:, :2] / (z * z)[:, None]
         jacobian = jacobian @ poses[:, :3, :3]
@@ -191,21 +191,21 @@ def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatA
         weights = 1 / (1 + squares / (2 * SIGMA_PX) ** 2)
         H = np.zeros((num_points, 3, 3))
         gradient = np.zeros((num_points, 3))
-        np.add.at(H, seen, np.einsum("o,oki,okj->oij", weights, jacobian, jacobian) / SIGMA_PX**2)
-        np.add.at(gradient, seen, np.einsum("o,oki,ok->oi", weights, jacobian, residuals) / SIGMA_PX**2)
+        np.add.at(H, point_rows, np.einsum("o,oki,okj->oij", weights, jacobian, jacobian) / SIGMA_PX**2)
+        np.add.at(gradient, point_rows, np.einsum("o,oki,ok->oi", weights, jacobian, residuals) / SIGMA_PX**2)
         # A lone ray, or parallel ones, leave a direction open: 1e-6/m² holds it, and the covariance
         # of 1000² m² says so; a share of the trace where float64 would round that away.
         H += (1e-6 + MIN_CURVATURE * np.trace(H, axis1=1, axis2=2))[:, None, None] * np.eye(3)
         points = points + np.linalg.solve(H, gradient[..., None])[..., 0]
-    counts = np.maximum(1, np.bincount(seen, minlength=num_points))
-    rms_px = np.sqrt(np.bincount(seen, squares, minlength=num_points) / counts)
+    counts = np.maximum(1, np.bincount(point_rows, minlength=num_points))
+    rms_px = np.sqrt(np.bincount(point_rows, squares, minlength=num_points) / counts)
     return points, np.asarray(np.linalg.inv(H), np.float64), rms_px
 
 
-def _flow(one: NDArray[Any], other: NDArray[Any], start: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _flow(first: NDArray[Any], second: NDArray[Any], start: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """Positions (N,1,2) of points (N,1,2) in the other image, and which (N,) were found."""
     positions, status, _ = cv2.calcOpticalFlowPyrLK(
-        one, other, start, start.copy(), winSize=WINDOW_PX, maxLevel=NUM_LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
+        first, second, start, start.copy(), winSize=WINDOW_PX, maxLevel=NUM_LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
     )
     return positions, status[:, 0] > 0
 

@@ -111,12 +111,12 @@ def count_blocks(views: Iterable[DepthView], voxel: float, max_depth: float) -> 
 
     core: Any = o3d.core
     grid = cast(Any, o3d.t.geometry.VoxelBlockGrid)(("tsdf",), (core.float32,), ((1,),), voxel, BLOCK_VOXELS, 1, core.Device("CPU:0"))
-    found, largest = np.zeros(0, np.int64), 0
+    block_keys, largest = np.zeros(0, np.int64), 0
     for view in views:
         keys = _seen_blocks(grid, view, max_depth).numpy().astype(np.int64) + (1 << 20)
-        found = np.union1d(found, (keys[:, 0] << 42) + (keys[:, 1] << 21) + keys[:, 2])
+        block_keys = np.union1d(block_keys, (keys[:, 0] << 42) + (keys[:, 1] << 21) + keys[:, 2])
         largest = max(largest, len(keys))
-    return len(found) + largest
+    return len(block_keys) + largest
 
 
 def fused_mesh(
@@ -226,10 +226,10 @@ def _copy_blocks(grid: Any, voxel: float, rows: NDArray[np.int64]) -> Any:
     if len(rows) == grid.hashmap().size():
         return grid
     part = _empty_grid(voxel, len(rows))
-    own_rows, _ = part.hashmap().activate(_tensor(grid.hashmap().key_tensor().numpy()[rows]))
-    own = own_rows.numpy().astype(np.int64)
+    row_tensor, _ = part.hashmap().activate(_tensor(grid.hashmap().key_tensor().numpy()[rows]))
+    part_rows = row_tensor.numpy().astype(np.int64)
     for name in ("tsdf", "weight", "color"):
-        part.attribute(name).numpy()[own] = grid.attribute(name).numpy()[rows]
+        part.attribute(name).numpy()[part_rows] = grid.attribute(name).numpy()[rows]
     return part
 
 

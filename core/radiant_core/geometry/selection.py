@@ -45,22 +45,22 @@ class Front:
             raise BadInput(
                 f"a front of {self.rows} × {self.columns} cells has {len(depths)} depths, expected one for each of 1 to {MAX_CELLS}."
             )
-        left, top, right, bottom = check_array("the box of a front", self.box, (4,))
-        if not (left < right and top < bottom) or (depths < 0).any():
+        u_min, v_min, u_max, v_max = check_array("the box of a front", self.box, (4,))
+        if not (u_min < u_max and v_min < v_max) or (depths < 0).any():
             raise BadInput("a front has no area, or depths behind its eye: make the selection again.")
-        object.__setattr__(self, "box", (float(left), float(top), float(right), float(bottom)))
+        object.__setattr__(self, "box", (float(u_min), float(v_min), float(u_max), float(v_max)))
         object.__setattr__(self, "depths", tuple(float(depth) for depth in depths))
 
     def at(self, places: FloatArray) -> FloatArray:
         """Depths (N,) at places (N,2) of the view, infinite where nothing is seen and outside."""
-        left, top, right, bottom = self.box
+        u_min, v_min, u_max, v_max = self.box
         grid = np.array(self.depths).reshape(self.rows, self.columns)
-        column = np.floor((places[:, 0] - left) / (right - left) * self.columns)
-        row = np.floor((places[:, 1] - top) / (bottom - top) * self.rows)
+        column = np.floor((places[:, 0] - u_min) / (u_max - u_min) * self.columns)
+        row = np.floor((places[:, 1] - v_min) / (v_max - v_min) * self.rows)
         inside = (column >= 0) & (column < self.columns) & (row >= 0) & (row < self.rows)
-        found = np.full(len(places), np.inf)
-        found[inside] = grid[row[inside].astype(int), column[inside].astype(int)]
-        return np.where(found > 0, found, np.inf)
+        nearest = np.full(len(places), np.inf)
+        nearest[inside] = grid[row[inside].astype(int), column[inside].astype(int)]
+        return np.where(nearest > 0, nearest, np.inf)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,16 +96,16 @@ class Stroke:
 
         area = _area(self)
         pose = np.array(self.cam_from_world).reshape(3, 4)
-        seen = means.astype(np.float64) @ pose[:, :3].T + pose[:, 3]
+        in_camera = means.astype(np.float64) @ pose[:, :3].T + pose[:, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
-            places = seen[:, :2] / seen[:, 2:]
-        left, top, right, bottom = area.bounds
+            places = in_camera[:, :2] / in_camera[:, 2:]
+        u_min, v_min, u_max, v_max = area.bounds
         with np.errstate(invalid="ignore"):
-            near = np.flatnonzero((seen[:, 2] > 0) & ((places >= (left, top)) & (places <= (right, bottom))).all(axis=1))
+            near = np.flatnonzero((in_camera[:, 2] > 0) & ((places >= (u_min, v_min)) & (places <= (u_max, v_max))).all(axis=1))
         prepare(area)
         near = near[contains_xy(area, places[near])]
         if self.front is not None:
-            near = near[seen[near, 2] <= (1 + self.tolerance) * self.front.at(places[near])]
+            near = near[in_camera[near, 2] <= (1 + self.tolerance) * self.front.at(places[near])]
         chosen = np.zeros(len(means), bool)
         chosen[near] = True
         return chosen
@@ -115,8 +115,8 @@ def chosen_by(strokes: Sequence[Stroke], means: NDArray[Any]) -> NDArray[np.bool
     """Which middles (N,3) the strokes choose, one after another."""
     chosen = np.zeros(len(means), bool)
     for stroke in strokes:
-        found = stroke.chosen(means)
-        chosen = chosen & ~found if stroke.takes_away else chosen | found
+        picked = stroke.chosen(means)
+        chosen = chosen & ~picked if stroke.takes_away else chosen | picked
     return chosen
 
 

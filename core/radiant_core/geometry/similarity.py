@@ -82,8 +82,8 @@ def _turn_quats(quats: NDArray[np.float32], rotation: FloatArray) -> FloatArray:
     lengths = np.linalg.norm(exact, axis=1, keepdims=True)
     unit = np.where(lengths > 0, exact / np.where(lengths > 0, lengths, 1.0), (1.0, 0.0, 0.0, 0.0))
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    return np.where(lengths > 0, np.clip(lengths, SHORTEST_QUAT, LONGEST_QUAT), 1.0) * (unit @ left.T)
+    left_product = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return np.where(lengths > 0, np.clip(lengths, SHORTEST_QUAT, LONGEST_QUAT), 1.0) * (unit @ left_product.T)
 
 
 def _spread_directions(count: int) -> FloatArray:

@@ -72,7 +72,7 @@ def extract_surface(  # noqa: PLR0913
     long_side_px: int = 640,
     memory_bytes: int | None = None,
     scratch: Path | None = None,
-    report: Callable[[int, int], None] = lambda done, total: None,
+    report: Callable[[int, int], None] = lambda num_done, total: None,
 ) -> Surface:
     """The surface that C cameras see of a model; `resolution` by default two pixels on the ground
     at the usual depth, or what `memory_bytes` allow. `scratch` is the folder for temporary files,
@@ -93,14 +93,14 @@ def extract_surface(  # noqa: PLR0913
     middle = np.round(centers.mean(axis=0))
     local, moved = _move(sharpen_opacities(splats), small, middle)
     low, high = (centers.min(axis=0) - middle - reach)[:2], (centers.max(axis=0) - middle + reach)[:2]
-    seen = 0
+    num_views = 0
 
     def views() -> Iterator[DepthView]:
-        nonlocal seen
+        nonlocal num_views
         for index, view in enumerate(render_views(local, moved)):
             depth = depth_in_box(trusted_depth(view, MAX_DEPTH * reach), moved.select([index]), low - voxel, high + voxel)
             if depth.any():
-                seen += 1
+                num_views += 1
                 yield DepthView(image=view.image_bytes, depth=depth, K=moved.Ks[index], cam_from_world=moved.cam_from_world[index])
             report(index + 1, 2 * len(moved))
 
@@ -110,14 +110,16 @@ def extract_surface(  # noqa: PLR0913
         max_depth=MAX_DEPTH * reach,
         max_blocks=MAX_BLOCKS if memory_bytes is None else blocks_within(memory_bytes),
     )
-    fusion = fuse_apart(views(), settings, lambda done, total: report(len(moved) + len(moved) * done // total, 2 * len(moved)), scratch)
+    fusion = fuse_apart(
+        views(), settings, lambda num_done, total: report(len(moved) + len(moved) * num_done // total, 2 * len(moved)), scratch
+    )
     mesh = _crop(fusion.mesh, low, high)
     if not len(mesh.triangles):
         raise BadInput(
             f"none of {len(cameras)} cameras sees a surface of {fusion.voxel:.3g}: choose a coarser resolution, or a model that is trained."
         )
     shifted = replace(mesh, vertices=mesh.vertices + middle)
-    return Surface(mesh=shifted, voxel=fusion.voxel, num_views=seen, finest_voxel=voxel, num_blocks=fusion.num_blocks)
+    return Surface(mesh=shifted, voxel=fusion.voxel, num_views=num_views, finest_voxel=voxel, num_blocks=fusion.num_blocks)
 
 
 def depth_in_box(depth: NDArray[np.float32], camera: Cameras, low: FloatArray, high: FloatArray) -> NDArray[np.float32]:
@@ -168,6 +170,6 @@ def _move(splats: Splats, cameras: Cameras, middle: FloatArray) -> tuple[Splats,
 def _crop(mesh: Mesh, low: FloatArray, high: FloatArray) -> Mesh:
     """Triangles whose corners all lie within a box on the map."""
     inside = np.asarray(((mesh.vertices[:, :2] >= low) & (mesh.vertices[:, :2] <= high)).all(axis=1))
-    kept = mesh.triangles[inside[mesh.triangles].all(axis=1)] if len(mesh.triangles) else mesh.triangles
-    used, numbered = np.unique(kept, return_inverse=True)
+    triangles = mesh.triangles[inside[mesh.triangles].all(axis=1)] if len(mesh.triangles) else mesh.triangles
+    used, numbered = np.unique(triangles, return_inverse=True)
     return Mesh(vertices=mesh.vertices[used], triangles=numbered.reshape(-1, 3), colors=mesh.colors[used])

@@ -44,5 +44,5 @@ def shares_of(cameras: Cameras, place: ArrayLike) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):
         pixels = np.einsum("cij,cj->ci", cameras.Ks, local)[:, :2] / local[:, 2:]
         shares = pixels / cameras.sizes_wh
-        seen = (local[:, 2] > 0) & ((shares > 0) & (shares < 1)).all(axis=1)
-    return np.where(seen[:, None], shares, np.nan)
+        is_visible = (local[:, 2] > 0) & ((shares > 0) & (shares < 1)).all(axis=1)
+    return np.where(is_visible[:, None], shares, np.nan)

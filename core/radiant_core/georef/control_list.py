@@ -74,10 +74,10 @@ class ControlList:
 
     def point(self, name: str) -> ListedPoint:
         """The point of a name; BadInput where there is none."""
-        found = next((point for point in self.points if point.name == name), None)
-        if found is None:
+        match = next((point for point in self.points if point.name == name), None)
+        if match is None:
             raise BadInput(f"there is no point {name!r}: there are {', '.join(point.name for point in self.points[:8]) or 'none'}.")
-        return found
+        return match
 
     def marks_of(self, name: str) -> dict[str, tuple[float, float]]:
         """Photograph → column and row of a point's marks."""
@@ -100,7 +100,7 @@ class ControlList:
 
     def with_point(self, point: ListedPoint) -> ControlList:
         """With one more point; BadInput where its name is taken, or the list is full."""
-        if any(other.name == point.name for other in self.points):
+        if any(listed.name == point.name for listed in self.points):
             raise BadInput(f"there is a point {point.name!r} already: choose another name.")
         if len(self.points) >= MAX_POINTS:
             raise BadInput(f"the list has {len(self.points):,} points, the most that it may have: leave {point.name!r} out.")
@@ -158,10 +158,10 @@ def parse_control_list(text: str, source: str, photographs: Sequence[str] = ()) 
     points = [_unmarked_point(source, line) for line in with_points(unmarked, source)]
     points += [_table_point(source, line.number, line.values) for line in rows if len(line.values) < 6]
     lines = [list_line(source, line, photographs) for line in rows if len(line.values) >= 6]
-    found = _with_marks(header, points, matched_lines(lines, photographs)[0], source)
-    if not 0 < len(found.points) <= MAX_POINTS:
-        raise BadInput(f"{source} has {len(found.points)} points, expected 1 to {MAX_POINTS:,}: {POINT_HINT}.")
-    return found
+    parsed = _with_marks(header, points, matched_lines(lines, photographs)[0], source)
+    if not 0 < len(parsed.points) <= MAX_POINTS:
+        raise BadInput(f"{source} has {len(parsed.points)} points, expected 1 to {MAX_POINTS:,}: {POINT_HINT}.")
+    return parsed
 
 
 def world_places(control: ControlList, frame: Frame) -> FloatArray:

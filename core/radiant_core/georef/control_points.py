@@ -109,9 +109,9 @@ def read_list(path: Path) -> str:
         text = data.decode(encoding)
     except UnicodeDecodeError:
         raise BadInput(f"{path} is no text in UTF-8: write the list of points as plain text.") from None
-    other = next((name for sign, name in OTHER_FORMS.items() if text.lstrip().startswith(sign)), None)
-    if other is not None:
-        raise BadInput(f"{path} is {other}, which is not read: write gcp_list.txt, the system on the first line, then {HINT}.")
+    program = next((name for sign, name in OTHER_FORMS.items() if text.lstrip().startswith(sign)), None)
+    if program is not None:
+        raise BadInput(f"{path} is {program}, which is not read: write gcp_list.txt, the system on the first line, then {HINT}.")
     return text
 
 
@@ -233,8 +233,8 @@ def _checks(names: Sequence[str], marked: set[str], request: ControlRequest) -> 
         if step < 2:
             raise BadInput(f"--check-points {request.check} keeps out all points: give every:2 or more.")
         return np.array([name in marked or row % step == step - 1 for row, name in enumerate(names)])
-    asked = {name.strip() for name in request.check.split(",") if name.strip()}
-    lost = sorted(asked - set(names))
+    check_names = {name.strip() for name in request.check.split(",") if name.strip()}
+    lost = sorted(check_names - set(names))
     if lost:
         raise BadInput(f"--check-points names {lost[0]!r}, which is no point of {request.source}: its points are {', '.join(names[:8])} …")
-    return np.array([name in marked or name in asked for name in names])
+    return np.array([name in marked or name in check_names for name in names])

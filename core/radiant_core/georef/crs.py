@@ -46,7 +46,7 @@ class Crs:
     """What PROJ reads: EPSG:32632, EPSG:25832+7837, WKT."""
     horizontal_epsg: int | None
     vertical_epsg: int | None = None
-    own: bool = False
+    is_builtin: bool = False
     """Whether it is computed without PROJ."""
     name: str = ""
     unit: str = "metre"
@@ -91,7 +91,7 @@ class Crs:
         """One sentence where PROJ lacks grids for the best it could do at a place: their names, the
         accuracy of what is used instead in metres, how to get them; None where nothing is lacking,
         or nothing can be computed without them, which whatever computes refuses."""
-        if self.own:
+        if self.is_builtin:
             return None
         from radiant_core.georef.operation import operation_at, shortfall
 
@@ -99,7 +99,7 @@ class Crs:
 
     def shortfall_over(self, lat_lon: FloatArray) -> str | None:
         """`shortfall` in the middle of at least one place (P,2 or 3) [deg, deg]."""
-        if self.own:
+        if self.is_builtin:
             return None
         from radiant_core.georef.proj import middle_deg
 
@@ -108,7 +108,7 @@ class Crs:
     def coarseness_over(self, lat_lon: FloatArray) -> str | None:
         """One sentence where even the best operation in the middle of at least one place (P,2 or 3)
         [deg, deg] is worse than GPS; None where it is not, or nobody says."""
-        if self.own:
+        if self.is_builtin:
             return None
         from radiant_core.georef.operation import coarseness, operation_at
         from radiant_core.georef.proj import middle_deg
@@ -120,7 +120,7 @@ class Crs:
         m], in the units of the system; BadInput where it does not reach or nothing can be computed
         without a grid."""
         places = check_array("lat_lon_alt", lat_lon_alt, (None, 3))
-        if not self.own:
+        if not self.is_builtin:
             from radiant_core.georef.proj import project
 
             self._require_used_at(places, "the scene lies")
@@ -137,35 +137,35 @@ class Crs:
         west, south, east, north = self.bounds_deg
         return south - MARGIN_DEG <= lat_deg <= north + MARGIN_DEG and west - MARGIN_DEG <= lon_deg <= east + MARGIN_DEG
 
-    def _require_used_at(self, lat_lon: FloatArray, whose: str, hint: str = ".") -> None:
+    def _require_used_at(self, lat_lon: FloatArray, subject: str, hint: str = ".") -> None:
         """Raise BadInput where the middle of places (P,2 or 3) is not where the system is used."""
         from radiant_core.georef.proj import middle_deg
 
         lat, lon = middle_deg(lat_lon) if len(lat_lon) else (0.0, 0.0)
         if len(lat_lon) and not self.is_used_at(lat, lon):
-            raise BadInput(f"{whose} at latitude {lat:g}°, longitude {lon:g}°, where {self.title} ({self.name}) is not used{hint}")
+            raise BadInput(f"{subject} at latitude {lat:g}°, longitude {lon:g}°, where {self.title} ({self.name}) is not used{hint}")
 
     def to_geodetic(self, places: ArrayLike) -> FloatArray:
         """The inverse of `from_geodetic`; BadInput for places that are not on the globe."""
         places = check_array("places", places, (None, 3))
-        if not self.own:
+        if not self.is_builtin:
             from radiant_core.georef.proj import rough_geodetic, unproject
 
             self._require_used_at(rough_geodetic(self.definition, places, self.title), "the places lie", USED_HINT)
-            found = unproject(self.definition, places, self.title, self.near)
+            geodetic = unproject(self.definition, places, self.title, self.near)
         elif self.horizontal_epsg in GEOGRAPHIC_EPSG:
-            found = places[:, [1, 0, 2]]
+            geodetic = places[:, [1, 0, 2]]
         else:
             assert self.horizontal_epsg is not None
             _require_utm_reach(places, self.horizontal_epsg, self.title)
-            found = np.column_stack([geodetic_from_utm(places[:, :2], self.horizontal_epsg), places[:, 2]])
-        if (np.abs(found[:, 0]) > 90).any() or (np.abs(found[:, 1]) > 180).any():
+            geodetic = np.column_stack([geodetic_from_utm(places[:, :2], self.horizontal_epsg), places[:, 2]])
+        if (np.abs(geodetic[:, 0]) > 90).any() or (np.abs(geodetic[:, 1]) > 180).any():
             raise BadInput(f"a place is off the globe in {self.title}: are east and north, or longitude and latitude, exchanged?")
-        return found
+        return geodetic
 
     def wkt(self) -> str:
         """The system as WKT in one line, for a .prj file: as ESRI writes it, which all read."""
-        if self.own and self.horizontal_epsg not in GEOGRAPHIC_EPSG:
+        if self.is_builtin and self.horizontal_epsg not in GEOGRAPHIC_EPSG:
             assert self.horizontal_epsg is not None
             return _utm_wkt(self.horizontal_epsg)
         from radiant_core.georef.proj import wkt_of
@@ -179,8 +179,8 @@ def grid_warnings(crs: Crs, lat_lon: FloatArray, *, require_grids: bool = False)
     lacking = crs.shortfall_over(lat_lon)
     if lacking is not None and require_grids:
         raise BadInput(f"{lacking.removesuffix('.')}, or leave out --require-grids.")
-    said = crs.coarseness_over(lat_lon) if lacking is None else lacking
-    return () if said is None else (said,)
+    sentence = crs.coarseness_over(lat_lon) if lacking is None else lacking
+    return () if sentence is None else (sentence,)
 
 
 def parse_crs(text: str) -> Crs:
@@ -202,7 +202,7 @@ def parse_crs(text: str) -> Crs:
         if code // 100 in (326, 327) and 1 <= code % 100 <= 60:
             return _own_utm(code)
         if code in GEOGRAPHIC_EPSG:
-            return Crs(definition=f"EPSG:{code}", horizontal_epsg=code, own=True, name="WGS 84", unit="degree", unit_m=None)
+            return Crs(definition=f"EPSG:{code}", horizontal_epsg=code, is_builtin=True, name="WGS 84", unit="degree", unit_m=None)
     from radiant_core.georef.proj import described
 
     definition = text if epsg is None else f"EPSG:{epsg[1]}" + (f"+{epsg[2]}" if epsg[2] else "")
@@ -241,7 +241,7 @@ def _own_utm(epsg: int) -> Crs:
     zone, letter = epsg % 100, "N" if epsg < 32700 else "S"
     if not 1 <= zone <= 60:
         raise BadInput(f"there is no UTM zone {zone}: zones are 1 to 60.")
-    return Crs(definition=f"EPSG:{epsg}", horizontal_epsg=epsg, own=True, name=f"WGS 84 / UTM zone {zone}{letter}")
+    return Crs(definition=f"EPSG:{epsg}", horizontal_epsg=epsg, is_builtin=True, name=f"WGS 84 / UTM zone {zone}{letter}")
 
 
 def _require_utm_reach(places: FloatArray, epsg: int, title: str) -> None:
@@ -252,10 +252,10 @@ def _require_utm_reach(places: FloatArray, epsg: int, title: str) -> None:
     is_south = epsg >= 32700
     beyond = north < MIN_SOUTHERN_NORTHING_M if is_south else north > MAX_NORTHERN_NORTHING_M
     if beyond.any():
-        other = f"{epsg % 100}{'N' if is_south else 'S'}"
+        opposite_zone = f"{epsg % 100}{'N' if is_south else 'S'}"
         raise BadInput(
             f"the northing {float(north[beyond][0]):,.0f} m lies beyond {'80° south' if is_south else '84° north'} in {title}, "
-            f"where UTM ends: is it one of zone {other}, the other hemisphere?"
+            f"where UTM ends: is it one of zone {opposite_zone}, the other hemisphere?"
         )
 
 

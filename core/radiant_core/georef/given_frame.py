@@ -28,7 +28,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 
 NAME = "given_frame.json"
-GIVEN = "given"
+GIVEN_CRS = "given"
 """What `radiant export --crs` calls it."""
 MAX_EXACT = 1e4
 """Coordinates up to here are left as they are: float32 keeps 1e-3 of their unit."""
@@ -85,7 +85,7 @@ class GivenFrame:
         adjusted = f", to {self.largest_error:.2g} after the adjustment" if self.largest_error else ""
         turned = [f"turned by {turned_deg:.1f}°"] if turned_deg > 1e-6 else []
         scaled = "in its own unit" if move.scale == 1 else f"scaled by {move.scale:.4g}"
-        export = "`radiant export`" if self.is_default else f"`radiant export --crs {GIVEN}`"
+        export = "`radiant export`" if self.is_default else f"`radiant export --crs {GIVEN_CRS}`"
         return (
             f"the scene is {self.model}, {', '.join([*turned, 'moved', scaled])}: {NAME} beside it has the matrix back{adjusted}, and "
             f"{export} writes files in its own coordinates.",
@@ -101,7 +101,7 @@ class GivenFrame:
         return {
             "schema": "radiant.georeference",
             "version": 1,
-            "crs": GIVEN,
+            "crs": GIVEN_CRS,
             **({} if self.crs is None else {"given_crs": self.crs}),
             "model": self.model,
             "offset": self.offset.tolist(),
@@ -129,18 +129,18 @@ def shifted_frame(cameras: Cameras, model: str) -> GivenFrame:
     )
 
 
-def save_given_frame(folder: Path, given: GivenFrame) -> str:
+def save_given_frame(folder: Path, frame: GivenFrame) -> str:
     """Write given_frame.json beside the scene in `folder`, atomically; its name."""
     write_json(
         folder / NAME,
         {
             "schema": "radiant.given_frame",
             "version": 1,
-            "model": given.model,
-            "given_from_scene": matrix_of(given.given_from_scene).tolist(),
-            "largest_error": given.largest_error,
-            **({} if given.crs is None else {"crs": given.crs}),
-            **({"is_default": True} if given.is_default else {}),
+            "model": frame.model,
+            "given_from_scene": matrix_of(frame.given_from_scene).tolist(),
+            "largest_error": frame.largest_error,
+            **({} if frame.crs is None else {"crs": frame.crs}),
+            **({"is_default": True} if frame.is_default else {}),
         },
     )
     return NAME

@@ -53,8 +53,8 @@ def place_world(world: GivenWorld, centers: FloatArray) -> tuple[Sim3, Frame | N
     frame = Frame(kind="metric", origin_lat_lon_alt=crs.to_geodetic(place[None])[0])
     reference = georeference(frame, crs)
     near = reference.file_from_model
-    given = Sim3(scale=near.scale, rotation=near.rotation, translation=near.translation + reference.offset)
-    return given, frame
+    given_from_scene = Sim3(scale=near.scale, rotation=near.rotation, translation=near.translation + reference.offset)
+    return given_from_scene, frame
 
 
 def _about(middle_ecef: FloatArray) -> tuple[FloatArray, Frame]:

@@ -92,8 +92,8 @@ def _pairs(listed_lla: ArrayLike, expected_lla: ArrayLike) -> tuple[FloatArray, 
         return listed, check_array("expected_lla", expected, listed.shape)
     expected = check_array("expected_lla", expected, (3,))
     # Longitudes beside that of the first place, so that the 180th meridian cuts nothing.
-    beside = np.column_stack([listed[:, 0], _turned(listed[:, 1] - listed[0, 1]), listed[:, 2]])
-    middle = np.median(beside, axis=0)
+    unwrapped = np.column_stack([listed[:, 0], _turned(listed[:, 1] - listed[0, 1]), listed[:, 2]])
+    middle = np.median(unwrapped, axis=0)
     return np.array([[middle[0], _turned(middle[1] + listed[0, 1]), middle[2]]]), expected[None]
 
 
@@ -149,9 +149,9 @@ def _other_hemisphere(listed: FloatArray, expected: FloatArray, system: Crs | No
     """The same numbers in the zone of the other hemisphere, and there in another zone."""
     try:
         lat, lon, _ = np.median(listed, axis=0).tolist()
-        code = system.horizontal_epsg if system is not None and system.own and system.horizontal_epsg else utm_epsg(lat, lon)
-        other = code + 100 if code < 32700 else code - 100
-        lat_lon = geodetic_from_utm(utm_from_geodetic(listed[:, :2], code), other)
+        code = system.horizontal_epsg if system is not None and system.is_builtin and system.horizontal_epsg else utm_epsg(lat, lon)
+        opposite = code + 100 if code < 32700 else code - 100
+        lat_lon = geodetic_from_utm(utm_from_geodetic(listed[:, :2], code), opposite)
     except BadInput:
         return
     places = np.column_stack([lat_lon, listed[:, 2]])
@@ -182,7 +182,7 @@ def _other_plane(listed: FloatArray, expected: FloatArray, system: Crs) -> Itera
 
 def _plane(listed: FloatArray, expected: FloatArray, system: Crs) -> FloatArray:
     """East, north, up of listed places, also where the system is not used: mistakes lead there."""
-    if system.own:
+    if system.is_builtin:
         return system.from_geodetic(listed)
     from radiant_core.georef.proj import middle_deg, project
 

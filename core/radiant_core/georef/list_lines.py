@@ -130,8 +130,8 @@ def is_column_names(line: Fields, source: str) -> bool:
     return True
 
 
-def list_line(source: str, line: Fields, known: Iterable[str] = ()) -> ListLine:
-    """A mark of the list, `known` names of photographs; BadInput names the line that is none."""
+def list_line(source: str, line: Fields, photographs: Iterable[str] = ()) -> ListLine:
+    """A mark of the list, `photographs` are names; BadInput names the line that is none."""
     if len(line.values) <= NUM_NUMBERS or not all(_NUMBER.fullmatch(value) for value in line.values[:NUM_NUMBERS]):
         raise BadInput(f"{source}, line {line.number}: {line.text[:80]!r} is no mark of a point, {HINT}.")
     values = [float(value) for value in line.values[:NUM_NUMBERS]]
@@ -143,7 +143,7 @@ def list_line(source: str, line: Fields, known: Iterable[str] = ()) -> ListLine:
     if not all(np.isfinite(values)) or max(abs(value) for value in values) > 1e9:
         raise BadInput(f"{source}, line {line.number}: a number is not finite or beyond 1e9: {HINT}.")
     east, north, up, column, row = values
-    image, name, further = _names(line, known)
+    image, name, further = _names(line, photographs)
     words = [word for part in (name, *further) for word in part.split()]
     return ListLine(
         (east, north, up),
@@ -155,14 +155,14 @@ def list_line(source: str, line: Fields, known: Iterable[str] = ()) -> ListLine:
     )
 
 
-def _names(line: Fields, known: Iterable[str]) -> tuple[str, str, Sequence[str]]:
+def _names(line: Fields, photographs: Iterable[str]) -> tuple[str, str, Sequence[str]]:
     """Photograph, point, and what stands behind them."""
     if line.separated:
-        image, *rest = line.values[NUM_NUMBERS:]
-        return image, rest[0] if rest else "", rest[1:]
+        image, *further = line.values[NUM_NUMBERS:]
+        return image, further[0] if further else "", further[1:]
     text = line.text.split(maxsplit=NUM_NUMBERS)[NUM_NUMBERS]
-    fitting = [name for name in known if text == name or (text.startswith(name) and text[len(name)].isspace())]
+    fitting = [name for name in photographs if text == name or (text.startswith(name) and text[len(name)].isspace())]
     picture = _PICTURE.fullmatch(text)
     image = max(fitting, key=len) if fitting else picture[1] if picture is not None else text.split()[0]
-    rest = text[len(image) :].split()
-    return image, rest[0] if rest else "", rest[1:]
+    further = text[len(image) :].split()
+    return image, further[0] if further else "", further[1:]

@@ -16,18 +16,18 @@ FORMS: tuple[Callable[[str], str], ...] = (
 """What names have in common, the strictest first: a Windows path also splits at slashes."""
 
 
-def match_names(listed: Iterable[str], known: Sequence[str]) -> dict[str, str]:
+def match_names(listed: Iterable[str], photographs: Sequence[str]) -> dict[str, str]:
     """Listed name → the photograph that it means: itself, or the only one that is the same without
     its folder or in other letters. What is not there, or fits two, stays as it is."""
-    there, wanted = set(known), list(dict.fromkeys(listed))
+    there, wanted = set(photographs), list(dict.fromkeys(listed))
     matched = {name: name for name in wanted if name in there}
     for form in FORMS:
-        counts = Counter(form(name) for name in known)
-        by_form = {form(name): name for name in known if counts[form(name)] == 1}
+        counts = Counter(form(name) for name in photographs)
+        by_form = {form(name): name for name in photographs if counts[form(name)] == 1}
         matched |= {name: by_form[form(name)] for name in wanted if name not in matched and form(name) in by_form}
     # Two names of a list that would become one photograph are two things.
-    taken = Counter(matched.values())
-    return {name: matched[name] if name in matched and taken[matched[name]] == 1 else name for name in wanted}
+    num_claims = Counter(matched.values())
+    return {name: matched[name] if name in matched and num_claims[matched[name]] == 1 else name for name in wanted}
 
 
 def matched_warning(matched: dict[str, str]) -> tuple[str, ...]:

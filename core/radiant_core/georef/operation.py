@@ -70,9 +70,9 @@ def operation_at(definition: str, lat_deg: float, lon_deg: float) -> Operation:
     better = None if group.best_available or not group.unavailable_operations else group.unavailable_operations[0]
     return Operation(
         pipeline="" if used is None else used.definition,
-        accuracy_m=None if used is None else _known(used.accuracy),
+        accuracy_m=None if used is None else _finite_accuracy(used.accuracy),
         missing=() if better is None else tuple(grid.short_name for grid in better.grids if not grid.available),
-        best_accuracy_m=None if better is None else _known(better.accuracy),
+        best_accuracy_m=None if better is None else _finite_accuracy(better.accuracy),
     )
 
 
@@ -120,9 +120,9 @@ def require_usable(operation: Operation, title: str, *, has_vertical: bool) -> N
         )
     if not operation.missing:
         raise BadInput(f"PROJ knows no way from WGS84 to {title} that keeps the datum here: name the system by its EPSG code.")
-    other = ", or name the system without its vertical datum" if has_vertical else ""
+    alternative = ", or name the system without its vertical datum" if has_vertical else ""
     are = "is" if len(operation.missing) == 1 else "are"
-    raise BadInput(f"{title} needs {_grids(operation.missing)}, which {are} not installed: {how_to_get(operation.missing)}{other}.")
+    raise BadInput(f"{title} needs {_grids(operation.missing)}, which {are} not installed: {how_to_get(operation.missing)}{alternative}.")
 
 
 def how_to_get(grids: Sequence[str]) -> str:
@@ -136,5 +136,5 @@ def _grids(names: Sequence[str]) -> str:
     return f"the grid {names[0]}" if len(names) == 1 else f"the grids {', '.join(names[:-1])} and {names[-1]}"
 
 
-def _known(accuracy: float) -> float | None:
+def _finite_accuracy(accuracy: float) -> float | None:
     return float(accuracy) if accuracy >= 0 else None

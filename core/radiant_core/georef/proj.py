@@ -110,8 +110,8 @@ def project(definition: str, lat_lon_alt: FloatArray, title: str, near: tuple[fl
         return np.zeros((0, 3))
     operation = _usable(definition, title, middle_deg(lat_lon_alt) if near is None else near)
     lat, lon, alt = lat_lon_alt.T
-    found = _transform(operation.pipeline, np.column_stack([lon, lat, alt]), title, inverse=False)
-    return found * [1.0, 1.0, 1.0 / _left_m(definition)]
+    converted = _transform(operation.pipeline, np.column_stack([lon, lat, alt]), title, inverse=False)
+    return converted * [1.0, 1.0, 1.0 / _left_m(definition)]
 
 
 def unproject(definition: str, places: FloatArray, title: str, near: tuple[float, float] | None = None) -> FloatArray:
@@ -147,8 +147,8 @@ def rough_geodetic(definition: str, places: FloatArray, title: str) -> FloatArra
 def middle_deg(lat_lon: FloatArray) -> tuple[float, float]:
     """A latitude and longitude in the middle of places (P,2 or 3), to a kilometre; the 180th
     meridian cuts nothing."""
-    beside = (lat_lon[:, 1] - lat_lon[0, 1] + 180) % 360 - 180
-    lon = (lat_lon[0, 1] + np.median(beside) + 180) % 360 - 180
+    longitudes = (lat_lon[:, 1] - lat_lon[0, 1] + 180) % 360 - 180
+    lon = (lat_lon[0, 1] + np.median(longitudes) + 180) % 360 - 180
     return round(float(np.median(lat_lon[:, 0])), PLACE_DIGITS), round(float(lon), PLACE_DIGITS)
 
 
@@ -203,12 +203,12 @@ def _transform(pipeline: str, places: FloatArray, title: str, *, inverse: bool) 
 
     direction = TransformDirection.INVERSE if inverse else TransformDirection.FORWARD
     try:
-        found = np.column_stack(_transformer(pipeline).transform(*places.T, direction=direction, errcheck=True))
+        converted = np.column_stack(_transformer(pipeline).transform(*places.T, direction=direction, errcheck=True))
     except ProjError as error:
         raise _failure(title, str(error)) from None
-    if not np.isfinite(found).all():
+    if not np.isfinite(converted).all():
         raise _out_of_reach(title)
-    return found.reshape(-1, 3)
+    return converted.reshape(-1, 3)
 
 
 def _out_of_reach(title: str) -> BadInput:

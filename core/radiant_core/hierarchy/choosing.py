@@ -54,7 +54,9 @@ class Choice:
         others: dict[Version, float] = {name: db for name, db in self.mean_db.items() if name != self.version}
         next_best = max(others, key=others.__getitem__)
         figures = ", ".join(f"{name} {db:.2f} dB" for name, db in self.mean_db.items())
-        same = "which report the score too" if self.keeps_usual else f"which report the score too, and favour the {self.version} one there"
+        effect = (
+            "which report the score too" if self.keeps_usual else f"which report the score too, and favour the {self.version} one there"
+        )
         without = ""
         if self.num_without:
             machines = f"{self.num_without} of {self.num_machines} machines hold out none"
@@ -65,7 +67,7 @@ class Choice:
             choice=f"the {self.version} scene is kept",
             figure=kept_db - self.mean_db[next_best],
             unit=f"dB over the {next_best} one",
-            reason=f"{figures} in {self.num_photographs} photographs that no training used, {same}{without}",
+            reason=f"{figures} in {self.num_photographs} photographs that no training used, {effect}{without}",
             changes_nothing=self.keeps_usual,
         )
 
@@ -74,16 +76,16 @@ def in_order(refined: Scene | None, joined: Scene | None, cut: Scene | None, *, 
     """The versions that there are, that which is kept without a comparison first: the refined one,
     else the joined one, but of models that `only_faded`, for devices that then fitted nothing, the
     cut one."""
-    made: list[tuple[Version, Scene | None]] = [(REFINED, refined), (JOINED, joined), (CUT, cut)]
+    versions: list[tuple[Version, Scene | None]] = [(REFINED, refined), (JOINED, joined), (CUT, cut)]
     if only_faded and refined is None:
-        made.reverse()
-    return {name: version for name, version in made if version is not None}
+        versions.reverse()
+    return {name: version for name, version in versions if version is not None}
 
 
 def is_comparison(names: Sequence[Version], machine: Mapping[Version, Sequence[float]]) -> bool:
     """Whether a machine has a finite figure of every version in each of its photographs."""
-    lengths = {len(own) for own in machine.values()}
-    return {*machine} == {*names} and len(lengths) == 1 and all(np.isfinite(own).all() for own in machine.values())
+    lengths = {len(figures) for figures in machine.values()}
+    return {*machine} == {*names} and len(lengths) == 1 and all(np.isfinite(figures).all() for figures in machine.values())
 
 
 def choose_version(names: Sequence[Version], figures_db: Sequence[Mapping[Version, Sequence[float]]]) -> Choice | None:
@@ -110,7 +112,7 @@ def choose_version(names: Sequence[Version], figures_db: Sequence[Mapping[Versio
     }
     if not len(pooled[names[0]]):
         return None
-    mean_db: dict[Version, float] = {name: float(np.clip(own, 0.0, BEST_DB).mean()) for name, own in pooled.items()}
+    mean_db: dict[Version, float] = {name: float(np.clip(figures, 0.0, BEST_DB).mean()) for name, figures in pooled.items()}
     usual, best = names[0], max(mean_db, key=mean_db.__getitem__)
     return Choice(
         version=best if mean_db[best] - mean_db[usual] >= LEAST_GAIN_DB else usual,

@@ -52,9 +52,9 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
     if task.extends is not None:
         return _extend(task, models, task.extends, reporter, machine)
     arrivals = admit(models, task.num_dealt, reporter, task.backend)
-    found = {"corrections": arrivals.corrections, "refused": arrivals.refused, "uncertainty": arrivals.uncertainty}
+    arrival_fields = {"corrections": arrivals.corrections, "refused": arrivals.refused, "uncertainty": arrivals.uncertainty}
     if not arrivals.models:
-        return SceneModel(splats=None, **found)
+        return SceneModel(splats=None, **arrival_fields)
     rows = [task.edges.index(name) for name in arrivals.senders]
     sites, weights = np.array(task.sites)[rows], np.array(task.weights)[rows]
     cut_for_memory = False
@@ -66,13 +66,13 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
         cut_for_memory = choice.cut_for_memory
         if choice.retrains or task.aggregate.preset != "paper":
             options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
-            teachers = [Teacher(splats=model, cameras=own) for model, own in zip(arrivals.models, arrivals.cameras, strict=True)]
+            teachers = [Teacher(splats=model, cameras=cameras) for model, cameras in zip(arrivals.models, arrivals.cameras, strict=True)]
             joined = _join(task, teachers, claims_of_cells(sites, weights), options, choice, reporter)
             summary = training_summary(joined.trained) | {ONLY_FADED: int(joined.is_unfitted)}
-            return SceneModel(splats=joined.splats, summary=summary, cut_for_memory=cut_for_memory, cut=joined.cut, **found)
+            return SceneModel(splats=joined.splats, summary=summary, cut_for_memory=cut_for_memory, cut=joined.cut, **arrival_fields)
     merged = crop_merge(arrivals.models, sites, weights)
     counts = {"num_splats": len(merged), "num_dropped": sum(map(len, arrivals.models)) - len(merged)}
-    return SceneModel(splats=merged, summary=counts, cut_for_memory=cut_for_memory, **found)
+    return SceneModel(splats=merged, summary=counts, cut_for_memory=cut_for_memory, **arrival_fields)
 
 
 def _extend(
@@ -116,15 +116,15 @@ def _can_average(task: CloudTask, arrivals: Arrivals) -> bool:
 def _choose(task: CloudTask, arrivals: Arrivals, rows: Sequence[int], reporter: Reporter, machine: Machine) -> _Choice:
     """Whether and how models are joined; without a limit, in a share of what is free."""
     times_s = None if task.edge_times_s is None else [task.edge_times_s[row] for row in rows]
-    given = task.limits or Cloud()
-    limits, memory_of = given, "the cloud's limit"
-    if given.memory_bytes is not None:
-        own = JoinLimit(num_bytes=given.memory_bytes, whose="[cloud] memory_gb", lift=RAISE_LIMIT)
+    cloud = task.limits or Cloud()
+    limits, memory_of = cloud, "the cloud's limit"
+    if cloud.memory_bytes is not None:
+        memory_limit = JoinLimit(num_bytes=cloud.memory_bytes, label="[cloud] memory_gb", lift=RAISE_LIMIT)
     else:
-        own = limit_of_machine(machine)
-        if np.isfinite(own.num_bytes):
-            limits, memory_of = replace(given, memory_bytes=own.num_bytes), f"{own.whose}, a limit"
-    memory = plan_join_memory(arrivals.models, arrivals.cameras, task.train.long_side_px, own.num_bytes, task.aggregate.most_tiles)
+        memory_limit = limit_of_machine(machine)
+        if np.isfinite(memory_limit.num_bytes):
+            limits, memory_of = replace(cloud, memory_bytes=memory_limit.num_bytes), f"{memory_limit.label}, a limit"
+    memory = plan_join_memory(arrivals.models, arrivals.cameras, task.train.long_side_px, memory_limit.num_bytes, task.aggregate.most_tiles)
     needs = cloud_needs(arrivals.models, arrivals.cameras, memory, times_s)
     retrains, decision = choose_at_cloud(needs, limits, reporter.stage, memory_of=memory_of)
     reporter.decide(decision)
@@ -132,9 +132,9 @@ def _choose(task: CloudTask, arrivals: Arrivals, rows: Sequence[int], reporter: 
     if retrains:
         if len(arrivals.models) > 1:
             # A join in tiles is finished: no --resume does it anew.
-            report_join_memory(memory, replace(own, lift=lift(own.lift)), CUT_AT_CLOUD_COSTS, reporter)
+            report_join_memory(memory, replace(memory_limit, lift=lift(memory_limit.lift)), CUT_AT_CLOUD_COSTS, reporter)
         return _Choice(retrains=True, memory=memory, cut_for_memory=False)
-    by_machine = choose_at_cloud(needs, given, reporter.stage)[0]
+    by_machine = choose_at_cloud(needs, cloud, reporter.stage)[0]
     ways = lift("free memory there and go on with --resume" if by_machine else RAISE_LIMIT)
     reporter.warn(f"{decision.choice}: {decision.reason}. {CUT_AT_CLOUD_COSTS} To join them {ways}.")
     return _Choice(retrains=False, memory=memory, cut_for_memory=by_machine)

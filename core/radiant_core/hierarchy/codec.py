@@ -58,8 +58,8 @@ def _model(kind: type[Any]) -> type[Strict]:
     """The pydantic model of the fields of a dataclass that stand in JSON."""
     hints = get_type_hints(kind, include_extras=True)
     # Everything is written, so everything has to be there.
-    given: dict[str, Any] = {name: (hints[name], ...) for name in _json_names(kind)}
-    return create_model(kind.__name__, __base__=Strict, **given)
+    json_fields: dict[str, Any] = {name: (hints[name], ...) for name in _json_names(kind)}
+    return create_model(kind.__name__, __base__=Strict, **json_fields)
 
 
 @cache
@@ -104,10 +104,10 @@ def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
     path = folder / TASK_NAME
     data = read_bounded(path, MAX_JSON_BYTES)
     try:
-        found = parse_json(data)
+        content = parse_json(data)
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{path} is not valid JSON ({error}): send the task again.") from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise BadInput(f"{path} is no JSON object: send the task again.")
     values = _parse(kind, data, f"{path}: {name}")
     for field in fields(kind):  # pyright: ignore[reportArgumentType]
@@ -130,20 +130,20 @@ def _parse(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
     try:
         parsed = _model(kind).model_validate_json(data)
     except ValidationError as error:
-        raise BadInput(f"{name}: {problem_sentence(error, 'message', given=json.loads(data))}") from error
+        raise BadInput(f"{name}: {problem_sentence(error, 'message', data=json.loads(data))}") from error
     key = _find_left_out(parsed.model_dump(mode="json"), json.loads(data))
     if key is not None:
         raise BadInput(f"{name}: {key} is missing: add it.")
     return {field: getattr(parsed, field) for field in _json_names(kind)}
 
 
-def _find_left_out(whole: Any, given: Any, place: str = "") -> str | None:
-    """The path of the first key that `given` leaves to a default: pydantic demands those of the
+def _find_left_out(whole: Any, document: Any, place: str = "") -> str | None:
+    """The path of the first key that `document` leaves to a default: pydantic demands those of the
     message alone, not of its parts."""
     parts = whole.items() if isinstance(whole, dict) else enumerate(whole) if isinstance(whole, list) else ()
     for key, value in parts:
         path = f"{place}[{key}]" if isinstance(key, int) else f"{place}.{key}".lstrip(".")
-        if (isinstance(given, dict) and key not in given) or (path := _find_left_out(value, given[key], path)):
+        if (isinstance(document, dict) and key not in document) or (path := _find_left_out(value, document[key], path)):
             return path
     return None
 
@@ -248,17 +248,17 @@ def load_uncertainty(place: Path) -> FrameUncertainty | None:
     path = place / FRAME_NAME
     if not path.is_file():
         return None
-    found = read_json(path, ("uncertainty",), MAX_FRAME_BYTES)["uncertainty"]
+    record = read_json(path, ("uncertainty",), MAX_FRAME_BYTES)["uncertainty"]
     names = {field.name for field in fields(FrameUncertainty)}
-    if found is None:
+    if record is None:
         return None
     if (
-        not isinstance(found, dict)
-        or found.keys() != names
-        or not all(type(value) in (int, float) and 0 < value <= MAX_UNCERTAINTY for value in found.values())
+        not isinstance(record, dict)
+        or record.keys() != names
+        or not all(type(value) in (int, float) and 0 < value <= MAX_UNCERTAINTY for value in record.values())
     ):
         raise BadInput(f"{path} says an uncertainty that is none, expected {', '.join(sorted(names))} of more than 0.")
-    return FrameUncertainty(**{name: float(value) for name, value in found.items()})
+    return FrameUncertainty(**{name: float(value) for name, value in record.items()})
 
 
 def passed_on(model: Model, upload: UploadFormat) -> Model | str:
@@ -275,11 +275,11 @@ def passed_on(model: Model, upload: UploadFormat) -> Model | str:
 def save_refinement(folder: Path, refinement: Refinement, scene: Splats, upload: UploadFormat, warn: Callable[[str], None]) -> list[str]:
     """Write a refinement of `scene` into a node's folder, in 16 bits unless `upload` is exact; the
     names of the files, all of which are sent."""
-    own: UploadFormat = "float32" if upload == "float32" else "float16"
-    problem = upload_problem(refinement.splats, own)
+    upload_format: UploadFormat = "float32" if upload == "float32" else "float16"
+    problem = upload_problem(refinement.splats, upload_format)
     if problem is not None:
-        warn(f"the refinement is uploaded as float32 instead of {own}: {problem}")
-    save_upload(folder / REFINED_NAME, refinement.splats, own if problem is None else "float32")
+        warn(f"the refinement is uploaded as float32 instead of {upload_format}: {problem}")
+    save_upload(folder / REFINED_NAME, refinement.splats, upload_format if problem is None else "float32")
     save_arrays(
         folder / ROWS_NAME, ROWS_SCHEMA, {"rows": refinement.rows, "weights": refinement.weights}, {"scene": content_key(scene.arrays())}
     )

@@ -41,8 +41,8 @@ def step_decision(recipe: Recipe) -> Decision | None:
 def joining_decision(recipe: Recipe) -> Decision | None:
     """In how many epochs tiers join, where devices refine what was joined; None where no model is
     joined or nothing is refined."""
-    asked, joining, trainings = recipe.aggregate, recipe.joining, recipe.trainings
-    if not asked.refines or trainings.num_devices < 2 or "cloud" in recipe.groups:
+    aggregate, joining, trainings = recipe.aggregate, recipe.joining, recipe.trainings
+    if not aggregate.refines or trainings.num_devices < 2 or "cloud" in recipe.groups:
         return None
     case = trainings.joining
     return Decision(
@@ -51,9 +51,9 @@ def joining_decision(recipe: Recipe) -> Decision | None:
         choice=f"{joining.at_edge.num_epochs} at edges, {joining.at_cloud.num_epochs} at the cloud",
         figure=trainings.photograph_shows,
         unit=f"times a training of {trainings.num_steps:,.0f} steps shows each photograph",
-        reason=case.reason if asked.cloud_epochs is None or asked.edge_epochs is None else "asked for",
+        reason=case.reason if aggregate.cloud_epochs is None or aggregate.edge_epochs is None else "asked for",
         row=case.row,
-        forced=asked.cloud_epochs is not None or asked.edge_epochs is not None,
+        forced=aggregate.cloud_epochs is not None or aggregate.edge_epochs is not None,
     )
 
 
@@ -109,15 +109,15 @@ def density_decision(stage: str, counts: Any, num_before: int, num_after: int) -
 
 def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Decision:
     """Gaussians held at the limits of size and elongation, and those that no pixel shows."""
-    held = f"{counts.num_needles:,} needles and {counts.num_screen_filling:,} screen-filling Gaussians are held at their limits"
+    summary = f"{counts.num_needles:,} needles and {counts.num_screen_filling:,} screen-filling Gaussians are held at their limits"
     case = require(SHAPES)
     # The presets that follow 3DGS limit no shape.
-    given = [(config.max_elongation, "times the second axis"), (config.max_scale_per_distance, "of the distance to the nearest camera")]
-    limits = ", ".join(f"{limit:.3g} {unit}" for limit, unit in given if limit is not None)
+    options = [(config.max_elongation, "times the second axis"), (config.max_scale_per_distance, "of the distance to the nearest camera")]
+    limits = ", ".join(f"{limit:.3g} {unit}" for limit, unit in options if limit is not None)
     return Decision(
         stage=stage,
         topic="shapes",
-        choice=f"{held}; {counts.num_dead:,} that no pixel shows are left out",
+        choice=f"{summary}; {counts.num_dead:,} that no pixel shows are left out",
         figure=float(counts.num_needles + counts.num_screen_filling + counts.num_dead),
         unit="Gaussians",
         reason=(f"beyond {limits}, {case.reason}; " if limits else "") + "an opacity below 1/255 is never drawn",
@@ -130,8 +130,8 @@ def _without_limit(config: TrainConfig, counts: ShapeCounts) -> str:
     """The option that lifts the limit at which most Gaussians are held."""
     if config.max_elongation is not None and counts.num_needles >= max(1, counts.num_screen_filling):
         return "--set train.max_elongation=none"
-    held = config.max_scale_per_distance is not None and counts.num_screen_filling
-    return "--set train.max_scale_per_distance=none" if held else ""
+    fills_screen = config.max_scale_per_distance is not None and counts.num_screen_filling
+    return "--set train.max_scale_per_distance=none" if fills_screen else ""
 
 
 def refinement_decision(stage: str, counts: Sequence[int], scene: Splats) -> Decision:
@@ -150,14 +150,14 @@ def refinement_decision(stage: str, counts: Sequence[int], scene: Splats) -> Dec
 
 def check_decision(stage: str, check: Check) -> Decision:
     """Whether the joined model is kept, by some of the models' pictures."""
-    kept, left = ("joined", "cut") if check.keeps_joined else ("cut", "joined")
+    chosen, rejected = ("joined", "cut") if check.keeps_joined else ("cut", "joined")
     kept_db, left_db = sorted((check.joined_db, check.cut_db), reverse=True)
     return Decision(
         stage=stage,
         topic="joined or cut",
-        choice=f"the {kept} model is kept",
+        choice=f"the {chosen} model is kept",
         figure=kept_db - left_db,
-        unit=f"dB over the {left} one",
+        unit=f"dB over the {rejected} one",
         reason=f"{kept_db:.2f} dB in {check.num_views} of the models' own pictures",
         changes_nothing=check.keeps_joined,
     )
@@ -178,9 +178,12 @@ def join_decisions(stage: str, join: Join, num_models: int, joined: Joined) -> l
     exposures = [] if joined.balance is None else [exposures_decision(stage, joined.balance)]
     checks = [] if joined.check is None else [check_decision(stage, joined.check)]
     if joined.is_unfitted:
-        left = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
+        reduction = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
         reason = "devices refine them next: after short trainings that gets as far as a join before it, and sooner"
-        return [*exposures, decided(f"models fade where others own the place; {left}", 100 * joined.contested_share, "% contested", reason)]
+        return [
+            *exposures,
+            decided(f"models fade where others own the place; {reduction}", 100 * joined.contested_share, "% contested", reason),
+        ]
     if not joined.num_shown:
         reason = "no view shows enough that a second model knows: models are cut at their borders"
         return [*exposures, decided("skipped", 0.0, "% contested", reason)]
@@ -190,11 +193,11 @@ def join_decisions(stage: str, join: Join, num_models: int, joined: Joined) -> l
     if not steps:
         reason = f"models that agree to {join.agreement_db:g} dB have no seam that could be seen: they are cut at their borders"
         return [*exposures, decided("skipped", joined.agreement_db or 0.0, "dB", reason)]
-    shown = f"{joined.num_shown} of {joined.num_views} views"
+    views = f"{joined.num_shown} of {joined.num_views} views"
     share = 100 * joined.contested_share
-    left = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
+    reduction = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
     reason = "joining improves only places that two models show"
-    return [*exposures, decided(f"{steps:,} steps on {shown}; {left}", share, "% contested", reason), *checks]
+    return [*exposures, decided(f"{steps:,} steps on {views}; {reduction}", share, "% contested", reason), *checks]
 
 
 def exposures_decision(stage: str, balance: Balance) -> Decision:

@@ -172,17 +172,17 @@ class _Trials:
     def score(self, trial: Trial) -> FloatArray:
         """PSNR in dB of the views apart (K,), by a training or as it was kept."""
         views = self.views if trial.long_side_px is None else _reduced(self.views, trial.long_side_px)
-        apart, rest = views.select(np.flatnonzero(trial.held)), np.flatnonzero(~trial.held)
+        apart, trained_rows = views.select(np.flatnonzero(trial.held_out)), np.flatnonzero(~trial.held_out)
         name = f"trial {trial.number + 1} of {trial.most} at most"
         heard = OneOfSeveral(reporter=self.reporter, number=trial.number, total=trial.most + 1, name=name)
         # Views are in one light and worth training already, and memory has limited the Gaussians.
         config = replace(trial.config, light="none", skip_images="none")
-        task = replace(self.task, scene=self.scene.restricted_to(rest), train=config, memory_bytes=None)
+        task = replace(self.task, scene=self.scene.restricted_to(trained_rows), train=config, memory_bytes=None)
         machine = replace(self.machine, checkpoints=lambda key: NoCheckpoints())
-        prepared = prepare_training(task, views.select(rest), heard, machine)
+        prepared = prepare_training(task, views.select(trained_rows), heard, machine)
         key = content_key(prepared.key, training_key(prepared.initial, apart, config, FitOptions(backend=task.backend)))
-        if (kept := self.machine.kept_scores.find(key)) is not None and len(kept) == len(apart):
-            return kept
+        if (stored := self.machine.kept_scores.find(key)) is not None and len(stored) == len(apart):
+            return stored
         result = fit_prepared(replace(prepared, options=replace(prepared.options, statistics_bytes=self.statistics_bytes)), heard)
         figures = score_apart(result.splats, apart, task.backend)
         self.machine.kept_scores.keep(key, figures)

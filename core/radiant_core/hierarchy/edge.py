@@ -49,7 +49,7 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
     arrivals = admit(models, task.num_dealt, reporter, task.backend)
     if not arrivals.models:
         return EdgeModel(splats=None, corrections=arrivals.corrections, refused=arrivals.refused)
-    teachers = [Teacher(splats=model, cameras=own) for model, own in zip(arrivals.models, arrivals.cameras, strict=True)]
+    teachers = [Teacher(splats=model, cameras=cameras) for model, cameras in zip(arrivals.models, arrivals.cameras, strict=True)]
     strips = [np.array(task.strips[task.devices.index(name)]).reshape(-1, 2) for name in arrivals.senders]
     options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
     lift = partial(ways_to_lift, can_join_again=arrivals.uncertainty is None)
@@ -76,8 +76,8 @@ def _limit(task: EdgeTask, machine: Machine, lift: Callable[[str], str]) -> Join
     if task.memory_bytes is None:
         limit = limit_of_machine(machine, machine.num_edges)
         return replace(limit, lift=lift(f"{limit.lift} (--resume tries a cut again), or give this edge memory_gb"))
-    whose = "memory_gb of this edge"
-    return JoinLimit(num_bytes=task.memory_bytes, whose=whose, lift=lift(f"raise {whose} for the next run"))
+    label = "memory_gb of this edge"
+    return JoinLimit(num_bytes=task.memory_bytes, label=label, lift=lift(f"raise {label} for the next run"))
 
 
 def _join(

@@ -61,13 +61,13 @@ def train_group(
         prepared[device] = prepare_share(task, views.select(rows), reporter_of(f"devices/{device}"), machine)
         before_s[device] = time.process_time() - begun_s
     reporter, begun_s = reporter_of(plan.root), time.process_time()
-    starts = {device: each.start for device, each in prepared.items()}
+    starts = {device: share.start for device, share in prepared.items()}
     start = begin_group(starts, plan, recipe.train, reporter)
     before_s[plan.root] = time.process_time() - begun_s
     holders, masks = {}, _masks(plan)
-    for device, each in prepared.items():
+    for device, share in prepared.items():
         begun_s = time.process_time()
-        holders[device] = hold_share(each, device, start, plan.seat_of(device), masks.get(device))
+        holders[device] = hold_share(share, device, start, plan.seat_of(device), masks.get(device))
         before_s[device] += time.process_time() - begun_s
     members = GroupMembers(holders=holders, edges=plan.views, has_relays=plan.has_relays)
     options = fit_options(recipe.backend, reporter, machine, lambda: "")
@@ -89,8 +89,8 @@ def _masks(plan: GroupTraining) -> dict[str, MaskKeys]:
 
 
 def _require_all(recipe: Recipe, plan: GroupTraining) -> None:
-    edges = [each for each in recipe.edge_plans if plan.has_relays or plan.root == f"edges/{each.edge_id}"]
-    dealt = {device for each in edges for device in each.device_ids if len(each.cameras_of(device))}
+    edges = [edge for edge in recipe.edge_plans if plan.has_relays or plan.root == f"edges/{edge.edge_id}"]
+    dealt = {device for edge in edges for device in edge.device_ids if len(edge.cameras_of(device))}
     if dealt != set(plan.of_devices):
         raise BadInput(
             f"the group of {plan.root} has {', '.join(plan.of_devices)}, expected all that have photographs: {', '.join(sorted(dealt))}."

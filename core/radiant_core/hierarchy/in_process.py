@@ -59,7 +59,7 @@ class InProcessRun:
     @property
     def versions(self) -> dict[Version, Splats]:
         """Of the scene, the one that is kept without a comparison first."""
-        refined = self.scene.splats if any(len(each.rows) for each in self.refinements.values()) else None
+        refined = self.scene.splats if any(len(refinement.rows) for refinement in self.refinements.values()) else None
         return in_order(refined, self.joined.splats, self.joined.cut, only_faded=self.joined.only_faded)
 
 
@@ -138,10 +138,10 @@ def _refine(
         return _usual(joined)
     refiner = _Refiner(recipe=recipe, devices=refining, scene=scene, views=views, reporter_of=reporter_of)
     sent: dict[str, Refinement] = {}
-    start, kept = splats, None
+    start, previous = splats, None
     for number in range(1, choose_rounds(recipe) + 1):
-        splats, sent_now = refiner.refine(start, number, kept)
-        start, kept = start_of_next_round(start, splats), splats
+        splats, sent_now = refiner.refine(start, number, previous)
+        start, previous = start_of_next_round(start, splats), splats
         sent |= sent_now
     return _usual(replace(joined, scene=replace(joined.scene, splats=splats), refinements=sent))
 
@@ -161,12 +161,12 @@ class _Refiner:
     scene: SfmScene
     views: TrainingViews
     reporter_of: Callable[[str], Reporter]
-    shown: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    shown_shares: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     """Device → what its photographs show of the scene, as its edge counted it."""
 
-    def refine(self, splats: Splats, number: int, kept: Splats | None = None) -> tuple[Splats, dict[str, Refinement]]:
-        """The scene after a round that starts from `splats`, and what nodes sent in it; `kept`: the
-        scene that the round before made."""
+    def refine(self, splats: Splats, number: int, previous: Splats | None = None) -> tuple[Splats, dict[str, Refinement]]:
+        """The scene after a round that starts from `splats`, and what nodes sent in it; `previous`:
+        the scene that the round before made."""
         sent: dict[str, Refinement] = {}
 
         def send(node: str, refinement: Refinement) -> list[Refinement]:
@@ -176,29 +176,29 @@ class _Refiner:
         by_edge: list[Refinement] = []
         for edge, devices in self.devices.items():
             arrived = [
-                (device, each)
+                (device, refinement)
                 for device in devices
-                for each in send(refined_at(f"devices/{device}", number), self._refine_device(device, splats, number))
+                for refinement in send(refined_at(f"devices/{device}", number), self._refine_device(device, splats, number))
             ]
             node = refined_at(f"edges/{edge}", number)
             self.reporter_of(node)
-            admitted = [admit_refinement(each, splats, self._shown(device, splats)) for device, each in arrived]
-            by_edge += [admit_refinement(each, splats) for each in send(node, join_refinements(admitted, splats))]
+            admitted = [admit_refinement(refinement, splats, self._shown_shares(device, splats)) for device, refinement in arrived]
+            by_edge += [admit_refinement(refinement, splats) for refinement in send(node, join_refinements(admitted, splats))]
         reporter = self.reporter_of(refined_at("cloud", number))
-        reporter.decide(refinement_decision(reporter.stage, [len(each.rows) for each in by_edge], splats))
-        return refine_scene(splats, by_edge, kept), sent
+        reporter.decide(refinement_decision(reporter.stage, [len(refinement.rows) for refinement in by_edge], splats))
+        return refine_scene(splats, by_edge, previous), sent
 
     def _refine_device(self, device: str, splats: Splats, number: int) -> Refinement:
         rows, recipe = self.recipe.cameras_of(device), self.recipe
-        _, shown, _ = worth_training(self.scene.restricted_to(rows), self.views.select(rows), recipe.train)
-        return refine_device(recipe.refine_task(device), splats, shown, self.reporter_of(refined_at(f"devices/{device}", number)))
+        _, views, _ = worth_training(self.scene.restricted_to(rows), self.views.select(rows), recipe.train)
+        return refine_device(recipe.refine_task(device), splats, views, self.reporter_of(refined_at(f"devices/{device}", number)))
 
-    def _shown(self, device: str, splats: Splats) -> NDArray[np.float32]:
+    def _shown_shares(self, device: str, splats: Splats) -> NDArray[np.float32]:
         """Counted in the first round in which the device sends anything."""
-        if device not in self.shown:
+        if device not in self.shown_shares:
             cameras = self.scene.cameras.select(self.recipe.cameras_of(device)).scaled(self.recipe.train.long_side_px)
-            self.shown[device] = count_shown_photographs(splats, cameras, self.recipe.backend).astype(np.float32)
-        return self.shown[device]
+            self.shown_shares[device] = count_shown_photographs(splats, cameras, self.recipe.backend).astype(np.float32)
+        return self.shown_shares[device]
 
 
 def keep_best(run: InProcessRun, compare: Callable[[Splats], Sequence[float]], reporter: Reporter) -> InProcessRun:

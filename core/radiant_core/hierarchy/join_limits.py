@@ -25,7 +25,7 @@ class JoinLimit:
 
     num_bytes: float
     """Infinite: whatever it needs."""
-    whose: str
+    label: str
     """In words, for "where … allows … MB"."""
     lift: str
     """In words, how a next run has more."""
@@ -37,7 +37,7 @@ def limit_of_machine(machine: Machine, num_beside: int = 1) -> JoinLimit:
     among = f", divided among {num_beside} edges at a time," if num_beside > 1 else ""
     return JoinLimit(
         num_bytes=machine.held_bytes() + MACHINE_SHARE * machine.free_bytes() / num_beside,
-        whose=f"{MACHINE_SHARE:.0%} of what this machine has free{among}",
+        label=f"{MACHINE_SHARE:.0%} of what this machine has free{among}",
         lift="free memory there before the next run",
     )
 
@@ -66,5 +66,5 @@ def report_join_memory(memory: JoinMemory, limit: JoinLimit, cut_costs: str, rep
     )
     reporter.decide(decision)
     costs, wanted = (TILES_COST, "To join them at once") if memory.fits else (cut_costs, "To join them")
-    allowed = f"where {limit.whose} allows {limit.num_bytes / 1e6:,.0f} MB"
+    allowed = f"where {limit.label} allows {limit.num_bytes / 1e6:,.0f} MB"
     reporter.warn(f"{choice}: {decision.reason}, {allowed}. {costs} {wanted} {limit.lift}.")

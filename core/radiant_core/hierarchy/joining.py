@@ -61,12 +61,12 @@ def admit(arrived: Mapping[str, Arrival], num_dealt: Sequence[int], reporter: Re
     rejected: dict[str, str] = {}
     usable: dict[str, tuple[Splats, Cameras, FrameUncertainty | None]] = {}
     for (name, model), most in zip(arrived.items(), num_dealt, strict=True):
-        found = model if isinstance(model, str) else _check_model(name, model, most)
-        if isinstance(found, str):
-            rejected[name] = found
-            reporter.warn(f"the model of {name} is left out: {found}")
+        outcome = model if isinstance(model, str) else _check_model(name, model, most)
+        if isinstance(outcome, str):
+            rejected[name] = outcome
+            reporter.warn(f"the model of {name} is left out: {outcome}")
         else:
-            usable[name] = found
+            usable[name] = outcome
     arrivals = _leave_out_contradicted(_bring_into_one_frame(usable, reporter), reporter, backend)
     corrections = {**arrivals.corrections, **dict.fromkeys(rejected)}
     return replace(arrivals, corrections=corrections, refused={**arrivals.refused, **rejected})
@@ -85,8 +85,8 @@ def received_files(arrived: Mapping[str, Arrival]) -> dict[str, str]:
 
 def _check_model(name: str, model: DeviceModel | EdgeModel, num_dealt: int) -> tuple[Splats, Cameras, FrameUncertainty | None] | str:
     # Under numbers: one that gives its cameras another's names would end the joining for both.
-    own = number_cameras(model.cameras, name)
-    return model_problem(model, num_dealt) or (_require_splats(model.splats), own, model.uncertainty)
+    cameras = number_cameras(model.cameras, name)
+    return model_problem(model, num_dealt) or (_require_splats(model.splats), cameras, model.uncertainty)
 
 
 def _require_splats(splats: Splats | None) -> Splats:
@@ -110,12 +110,12 @@ def model_problem(model: DeviceModel | EdgeModel, num_dealt: int) -> str | None:
 
 def _bring_into_one_frame(usable: Mapping[str, tuple[Splats, Cameras, FrameUncertainty | None]], reporter: Reporter) -> Arrivals:
     senders = tuple(usable)
-    known = [uncertainty for _, _, uncertainty in usable.values() if uncertainty is not None]
-    if len(known) < len(senders) or not senders:
+    uncertainties = [uncertainty for _, _, uncertainty in usable.values() if uncertainty is not None]
+    if len(uncertainties) < len(senders) or not senders:
         return _move_models(usable, [UNMOVED] * len(senders), None)
     placed = [
-        PlacedModel(splats=model, cameras=own, uncertainty=uncertainty, name=name)
-        for (name, (model, own, _)), uncertainty in zip(usable.items(), known, strict=True)
+        PlacedModel(splats=model, cameras=cameras, uncertainty=uncertainty, name=name)
+        for (name, (model, cameras, _)), uncertainty in zip(usable.items(), uncertainties, strict=True)
     ]
     refined = refine_frames(placed, reporter.progress)
     for name, frame in zip(senders, refined, strict=True):
@@ -127,21 +127,21 @@ def _bring_into_one_frame(usable: Mapping[str, tuple[Splats, Cameras, FrameUncer
     refused = {name: frame.reason for name, frame in zip(senders, refined, strict=True) if frame.status == "refused"}
     # Joined, they are as sure of their place as the surest of them; beside each other, the next
     # tier can move them as one body only.
-    left = [asdict(frame.uncertainty) for frame in refined if frame.status != "refused"]
+    accepted = [asdict(frame.uncertainty) for frame in refined if frame.status != "refused"]
     surest = min if are_one_group([frame.neighbours for frame in refined], [frame.status != "refused" for frame in refined]) else max
-    common = FrameUncertainty(**{key: surest(one[key] for one in left) for key in left[0]}) if left else None
+    common = FrameUncertainty(**{key: surest(one[key] for one in accepted) for key in accepted[0]}) if accepted else None
     return replace(_move_models(usable, corrections, common), refused=refused)
 
 
-def are_one_group(neighbours: Sequence[Sequence[int]], kept: Sequence[bool]) -> bool:
+def are_one_group(neighbours: Sequence[Sequence[int]], keep_mask: Sequence[bool]) -> bool:
     """Whether all models that are kept are connected over their neighbours."""
-    members = {index for index, keep in enumerate(kept) if keep}
+    members = {index for index, keep in enumerate(keep_mask) if keep}
     reached: set[int] = set()
     waiting = sorted(members)[:1]
     while waiting:
         index = waiting.pop()
         reached.add(index)
-        waiting += [other for other in neighbours[index] if other not in reached]
+        waiting += [neighbour for neighbour in neighbours[index] if neighbour not in reached]
     return reached >= members
 
 
@@ -151,11 +151,11 @@ def _move_models(
     common: FrameUncertainty | None,
 ) -> Arrivals:
     moves = dict(zip(usable, corrections, strict=True))
-    kept = {name: move for name, move in moves.items() if move is not None}
+    placed = {name: move for name, move in moves.items() if move is not None}
     return Arrivals(
-        senders=tuple(kept),
-        models=tuple(usable[name][0] if move is UNMOVED else move_splats(usable[name][0], move) for name, move in kept.items()),
-        cameras=tuple(move_cameras(usable[name][1], move) for name, move in kept.items()),
+        senders=tuple(placed),
+        models=tuple(usable[name][0] if move is UNMOVED else move_splats(usable[name][0], move) for name, move in placed.items()),
+        cameras=tuple(move_cameras(usable[name][1], move) for name, move in placed.items()),
         corrections=moves,
         uncertainty=common,
         refused={},
@@ -165,16 +165,16 @@ def _move_models(
 def _leave_out_contradicted(arrivals: Arrivals, reporter: Reporter, backend: Backend) -> Arrivals:
     """The arrivals without models that most of their neighbours contradict; a warning names two
     that contradict each other and stay."""
-    found = find_contradictions(arrivals.models, arrivals.cameras, backend)
-    for (one, other), agreement_db in found.ties.items():
+    agreement = find_contradictions(arrivals.models, arrivals.cameras, backend)
+    for (first, second), agreement_db in agreement.ties.items():
         reporter.warn(
-            f"the models of {arrivals.senders[one]} and {arrivals.senders[other]} contradict each other: {agreement_db:.1f} dB where both "
-            f"show the same places, {MIN_AGREEMENT_DB:g} expected. Nothing shows which is wrong, and both are joined: look at the "
+            f"the models of {arrivals.senders[first]} and {arrivals.senders[second]} contradict each other: {agreement_db:.1f} dB where "
+            f"both show the same places, {MIN_AGREEMENT_DB:g} expected. Nothing shows which is wrong, and both are joined: look at the "
             "photographs of both, or add a third that shows these places."
         )
-    if len(arrivals.models) < MIN_MODELS or not np.isfinite(found.agreement_db).any():
+    if len(arrivals.models) < MIN_MODELS or not np.isfinite(agreement.agreement_db).any():
         return arrivals
-    refused = {arrivals.senders[index]: reason for index, reason in found.refused.items()}
+    refused = {arrivals.senders[index]: reason for index, reason in agreement.refused.items()}
     for name, reason in refused.items():
         reporter.warn(f"the model of {name} is left out: {reason}")
     reporter.decide(
@@ -182,17 +182,17 @@ def _leave_out_contradicted(arrivals: Arrivals, reporter: Reporter, backend: Bac
             stage=reporter.stage,
             topic="models that contradict others",
             choice=f"{', '.join(refused)} left out" if refused else "all are joined",
-            figure=float(np.nanmin(found.agreement_db)),
+            figure=float(np.nanmin(agreement.agreement_db)),
             unit="dB between the two that agree least",
             reason=f"a model is left out where most that show the same places contradict it, below {MIN_AGREEMENT_DB:g} dB",
         )
     )
-    kept = [index for index, name in enumerate(arrivals.senders) if name not in refused]
+    rows = [index for index, name in enumerate(arrivals.senders) if name not in refused]
     return replace(
         arrivals,
-        senders=tuple(arrivals.senders[index] for index in kept),
-        models=tuple(arrivals.models[index] for index in kept),
-        cameras=tuple(arrivals.cameras[index] for index in kept),
+        senders=tuple(arrivals.senders[index] for index in rows),
+        models=tuple(arrivals.models[index] for index in rows),
+        cameras=tuple(arrivals.cameras[index] for index in rows),
         corrections={**arrivals.corrections, **dict.fromkeys(refused)},
         refused={**arrivals.refused, **refused},
     )

@@ -81,7 +81,7 @@ class DeviceTask(DeviceSettings):
 
 def device_task(settings: DeviceSettings, scene: SfmScene) -> DeviceTask:
     """The task of a device with that scene."""
-    return DeviceTask(scene=scene, **{each.name: getattr(settings, each.name) for each in fields(DeviceSettings)})
+    return DeviceTask(scene=scene, **{item.name: getattr(settings, item.name) for item in fields(DeviceSettings)})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -122,7 +122,7 @@ class Recipe:
             backend=self.backend,
             checkpoint_every_s=self.checkpoint_every_s,
             upload=self.upload,
-            memory_bytes=next(own.memory_bytes for own in self.system.devices if own.id == device),
+            memory_bytes=next(spec.memory_bytes for spec in self.system.devices if spec.id == device),
             seat=None if (group := self.group_of(device)) is None else group.seat_of(device),
         )
 
@@ -131,10 +131,10 @@ class Recipe:
         as if each trained alone. BadInput where gradients are to be `masked` and cannot be."""
         groups = {}
         for plan in plans:
-            below = [own for own in self.edge_plans if own.edge_id in plan.edges]
+            below = [edge for edge in self.edge_plans if edge.edge_id in plan.edges]
             views = {
-                own.edge_id: {name: plan.views[name] for name in own.device_ids if name in plan.views and len(own.cameras_of(name))}
-                for own in below
+                edge.edge_id: {name: plan.views[name] for name in edge.device_ids if name in plan.views and len(edge.cameras_of(name))}
+                for edge in below
             }
             views = {edge: devices for edge, devices in views.items() if devices}
             num_steps = sum(self.training_of(device).num_steps for devices in views.values() for device in devices)
@@ -155,7 +155,7 @@ class Recipe:
             epochs=self.refining_epochs,
             max_num_steps=self.aggregate.max_num_steps,
             upload=self.upload,
-            memory_bytes=next(own.memory_bytes for own in self.system.devices if own.id == device),
+            memory_bytes=next(spec.memory_bytes for spec in self.system.devices if spec.id == device),
         )
 
     def edge_task(self, edge: str, num_dealt: Mapping[str, int]) -> EdgeTask:
@@ -171,7 +171,7 @@ class Recipe:
             backend=self.backend,
             checkpoint_every_s=self.checkpoint_every_s,
             upload=self.upload,
-            memory_bytes=next(own.memory_bytes for own in self.system.edges if own.id == edge),
+            memory_bytes=next(spec.memory_bytes for spec in self.system.edges if spec.id == edge),
             group=next((group.of_edge(edge) for group in self.groups.values() if edge in group.views), None),
         )
 

@@ -93,18 +93,18 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
     options = fit_options(task.backend, reporter, machine, lambda: training_key(start, views, config, bare))
     fitted = fit_splats(start, views, config, replace(options, steps=bare.steps, statistics_bytes=bare.statistics_bytes)).splats
     fitted = limit_changes(start, fitted)
-    kept = np.flatnonzero(_changed(start, fitted))
+    changed = np.flatnonzero(_changed(start, fitted))
     # Its edge weighs it, by renders of its own.
-    weights = np.full(len(kept), 1 / max(1, len(kept)), np.float32)
-    return Refinement(rows=rows[kept], splats=fitted.select(kept), weights=weights)
+    weights = np.full(len(changed), 1 / max(1, len(changed)), np.float32)
+    return Refinement(rows=rows[changed], splats=fitted.select(changed), weights=weights)
 
 
-def _shortened(stage: str, taken: float, epochs: int) -> Decision:
+def _shortened(stage: str, trained: float, epochs: int) -> Decision:
     return Decision(
         stage=stage,
         topic="refinement",
-        choice=f"{taken:.1f} epochs in place of {epochs}",
-        figure=taken,
+        choice=f"{trained:.1f} epochs in place of {epochs}",
+        figure=trained,
         unit="epochs",
         reason=f"devices drift apart between two means: no more than {MAX_STEPS} steps were measured to gain, and one epoch",
     )
@@ -118,23 +118,23 @@ def _steps() -> Steps:
 def _changed(before: Splats, after: Splats) -> NDArray[np.bool_]:
     """Which Gaussians (N,) the photographs moved."""
     pairs = zip(before.arrays().values(), after.arrays().values(), strict=True)
-    return np.any([(one != other).reshape(len(before), -1).any(axis=1) for one, other in pairs], axis=0)
+    return np.any([(old != new).reshape(len(before), -1).any(axis=1) for old, new in pairs], axis=0)
 
 
 def _in_light_of(scene: Splats, views: TrainingViews, task: RefineTask, reporter: Reporter) -> TrainingViews:
     """The photographs in the scene's light: each where their light is modelled, else the device's
     as a whole where they are brighter or darker."""
     lights = lights_from_model(scene, views, task.backend).lights
-    if not lights.known.any():
+    if not lights.is_known.any():
         return views
-    shift = lights.log_gains[lights.known].mean(axis=0)
+    shift = lights.log_gains[lights.is_known].mean(axis=0)
     if task.train.light == "none" or (task.train.light == "auto" and not lights.is_worth_modelling):
         lights = replace(lights, log_gains=np.tile(shift, (len(lights), 1)), vignettings=np.zeros_like(lights.vignettings))
         if np.abs(shift).max() < MIN_GAIN:
             return views
     else:
         # One that shows too little of the scene is as the others are.
-        lights = replace(lights, log_gains=np.where(lights.known[:, None], lights.log_gains, shift))
+        lights = replace(lights, log_gains=np.where(lights.is_known[:, None], lights.log_gains, shift))
     reporter.decide(
         Decision(
             stage=reporter.stage,

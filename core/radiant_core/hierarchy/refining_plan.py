@@ -58,17 +58,17 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
     if cloud.memory_bytes is not None and cloud.memory_bytes < needed:
         decision = _too_large("the scene is not refined", needed, "the cloud", cloud.memory_bytes)
         return RefiningPlan(devices={}, decisions=(decision,), warnings=(warning_of(decision),))
-    kept, decisions = {}, []
+    devices_by_edge, decisions = {}, []
     for edge, devices in present.items():
         limit = limits.get(edge)
         if devices and limit is not None and limit < of_edge:
             decisions.append(_too_large(f"the scene is not refined by {', '.join(devices)}", of_edge, edge, limit))
         elif devices:
-            kept[edge] = tuple(devices)
+            devices_by_edge[edge] = tuple(devices)
     warnings = tuple(map(warning_of, decisions))
-    if (num_left := sum(map(len, kept.values()))) < LEAST_DEVICES:
+    if (num_left := sum(map(len, devices_by_edge.values()))) < LEAST_DEVICES:
         return RefiningPlan(devices={}, decisions=(*decisions, _too_few(num_left)), warnings=warnings)
-    return RefiningPlan(devices=kept, decisions=(*decisions, _rounds(recipe)), warnings=warnings)
+    return RefiningPlan(devices=devices_by_edge, decisions=(*decisions, _rounds(recipe)), warnings=warnings)
 
 
 def choose_rounds(recipe: Recipe) -> int:
@@ -83,8 +83,8 @@ def refining_steps(epochs: int, num_views: int) -> int:
 
 def warning_of(decision: Decision) -> str:
     """What a decision that a limit of memory forced costs, and how to lift the limit."""
-    said = f"{decision.choice}: {decision.figure:.2f} {decision.unit}, {decision.reason}."
-    return f"{said} {UNREFINED_COSTS} Raise that memory_gb in the system file of the next run."
+    message = f"{decision.choice}: {decision.figure:.2f} {decision.unit}, {decision.reason}."
+    return f"{message} {UNREFINED_COSTS} Raise that memory_gb in the system file of the next run."
 
 
 def _rounds(recipe: Recipe) -> Decision:
@@ -92,7 +92,7 @@ def _rounds(recipe: Recipe) -> Decision:
     case = trainings.refining
     usual = case.values["rounds"]
     by_steps = "steps" in case.limits
-    epochs, asked = recipe.refining_epochs, recipe.aggregate
+    epochs, settings = recipe.refining_epochs, recipe.aggregate
     return Decision(
         stage=STAGE,
         topic="rounds of refining",
@@ -101,12 +101,12 @@ def _rounds(recipe: Recipe) -> Decision:
         unit="steps of a training" if by_steps else "times a training shows each photograph",
         reason=case.reason if number == usual else f"asked for; after such trainings it would be {usual}",
         row=case.row,
-        forced=asked.refine_rounds is not None or asked.refine_epochs is not None,
+        forced=settings.refine_rounds is not None or settings.refine_epochs is not None,
     )
 
 
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'s' * (number != 1)}"
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def _too_large(choice: str, needed_bytes: float, where: str, limit_bytes: float) -> Decision:

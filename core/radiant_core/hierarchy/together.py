@@ -181,7 +181,7 @@ def begin_group(starts: Mapping[str, ShareStart], plan: GroupTraining, train: Tr
         raise StageFailed("no device has sent what a training could begin with: look at their messages above.")
     require_shareable(train)
     sent = [starts[name] for name in names]
-    cameras = concatenate_cameras([number_cameras(each.cameras, name) for name, each in zip(names, sent, strict=True)])
+    cameras = concatenate_cameras([number_cameras(share.cameras, name) for name, share in zip(names, sent, strict=True)])
     config = replace(train, num_steps=plan.num_steps, max_epochs=None, max_num_splats=_most_splats(train, sent), cross_validate="none")
     config, decisions = fit_to_cameras(with_needle_width(config, cameras), cameras)
     _decide(reporter, decisions)
@@ -255,40 +255,40 @@ def shared_light(prepared: PreparedShare, offset: FloatArray | None) -> Training
 def _most_splats(train: TrainConfig, sent: Sequence[ShareStart]) -> int:
     """A model of all devices' photographs may have as many Gaussians as their own would have
     together, within the memory of each."""
-    return min([train.max_num_splats * len(sent), *(each.most_splats for each in sent if each.most_splats is not None)])
+    return min([train.max_num_splats * len(sent), *(share.most_splats for share in sent if share.most_splats is not None)])
 
 
 def _first_gaussians(sent: Sequence[ShareStart], cameras: Cameras, config: TrainConfig) -> Splats:
     """Sparse points of all devices and the filled-in ones away from them."""
-    sparse = [slice(0, len(each.points) - each.num_filled) for each in sent]
-    filled = [slice(len(each.points) - each.num_filled, None) for each in sent]
-    points = np.concatenate([each.points[part] for each, part in zip(sent, sparse, strict=True)])
-    colors = np.concatenate([each.colors[part] for each, part in zip(sent, sparse, strict=True)])
+    sparse = [slice(0, len(share.points) - share.num_filled) for share in sent]
+    filled = [slice(len(share.points) - share.num_filled, None) for share in sent]
+    points = np.concatenate([share.points[part] for share, part in zip(sent, sparse, strict=True)])
+    colors = np.concatenate([share.colors[part] for share, part in zip(sent, sparse, strict=True)])
     # Neighbours have points in common.
     points, first = np.unique(points, axis=0, return_index=True)
     fill = AddedPoints(
-        points=np.concatenate([each.points[part] for each, part in zip(sent, filled, strict=True)]),
-        colors=np.concatenate([each.colors[part] for each, part in zip(sent, filled, strict=True)]),
+        points=np.concatenate([share.points[part] for share, part in zip(sent, filled, strict=True)]),
+        colors=np.concatenate([share.colors[part] for share, part in zip(sent, filled, strict=True)]),
     ).thin(room_to_fill(config.max_num_splats, len(points)))
-    seen = np.array([each.sky_rgb for each in sent])
-    weights = np.array([len(each.cameras) for each in sent], float)[:, None] * np.isfinite(seen)
-    sky = np.where(weights.sum(0) > 0, (np.nan_to_num(seen) * weights).sum(0) / np.maximum(weights.sum(0), 1), np.nan)
+    sky_colors = np.array([share.sky_rgb for share in sent])
+    weights = np.array([len(share.cameras) for share in sent], float)[:, None] * np.isfinite(sky_colors)
+    sky = np.where(weights.sum(0) > 0, (np.nan_to_num(sky_colors) * weights).sum(0) / np.maximum(weights.sum(0), 1), np.nan)
     return initial_gaussians(points, colors[first], fill, cameras, config, sky)
 
 
 def _offsets(names: Sequence[str], sent: Sequence[ShareStart], train: TrainConfig, stage: str) -> tuple[dict[str, FloatArray], Decision]:
-    found = light_offsets([each.logs for each in sent])
-    wanted = train.light != "none" and found.counts and (any(each.models_light for each in sent) or found.is_worth_modelling)
+    offsets = light_offsets([share.logs for share in sent])
+    wanted = train.light != "none" and offsets.counts and (any(share.models_light for share in sent) or offsets.is_worth_modelling)
     decision = Decision(
         stage=stage,
         topic="light of the devices",
         choice="devices train in one light" if wanted else "devices train in the light of each",
-        figure=100 * found.spread,
+        figure=100 * offsets.spread,
         unit="% by which devices differ in brightness at common places",
-        reason=found.reason,
+        reason=offsets.reason,
         changes_nothing=not wanted,
     )
-    return (dict(zip(names, found.offsets, strict=True)) if wanted else {}), decision
+    return (dict(zip(names, offsets.offsets, strict=True)) if wanted else {}), decision
 
 
 def _decide(reporter: Reporter, decisions: Sequence[Decision]) -> None:

@@ -60,10 +60,10 @@ def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tu
     with _open_arrays(path) as file, name_file_in_errors(path):
         record = _record(file)
         require_schema(record, schema)
-        found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118
-        if dtypes is not None and found != dtypes:
-            raise BadInput(f"it holds the arrays {found}, expected {dict(dtypes)}: write it anew with this version.")
-        return {name: file.get_tensor(name) for name in found}, record["about"]
+        types = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118
+        if dtypes is not None and types != dtypes:
+            raise BadInput(f"it holds the arrays {types}, expected {dict(dtypes)}: write it anew with this version.")
+        return {name: file.get_tensor(name) for name in types}, record["about"]
 
 
 def schema_of(path: Path) -> str:
@@ -88,9 +88,9 @@ def require_schema(record: Any, schema: str) -> None:
     """Raise BadInput unless `record` says that it is `schema` in this version."""
     if not isinstance(record, dict):
         raise BadInput("it does not say what it holds: write it anew with this version.")
-    found = (record.get("schema"), record.get("version"))
-    if found != (schema, VERSION):
-        raise BadInput(f"it says schema and version {found}, expected {(schema, VERSION)}: check which file it is.")
+    stated = (record.get("schema"), record.get("version"))
+    if stated != (schema, VERSION):
+        raise BadInput(f"it says schema and version {stated}, expected {(schema, VERSION)}: check which file it is.")
 
 
 @contextmanager

@@ -33,14 +33,14 @@ def require_layout(path: Path) -> None:
             if not stat.S_ISREG(status.st_mode):
                 raise StoreDamaged(f"{path} is not a file: name the file itself.")
             num_header = int.from_bytes(file.read(8), "little")
-            left = status.st_size - 8 - num_header
-            if not (2 <= num_header <= MAX_HEADER_BYTES and left >= 0):
+            num_data_bytes = status.st_size - 8 - num_header
+            if not (2 <= num_header <= MAX_HEADER_BYTES and num_data_bytes >= 0):
                 raise StoreDamaged(_broken_sentence(path, f"it says a header of {num_header} bytes and has {status.st_size} in all"))
             header = file.read(num_header)
     except OSError as error:
         raise StoreDamaged(f"cannot read {path}: {error.strerror or error}: run the stage that writes it again.") from error
     try:
-        problem = _problem(parse_json(header), left)
+        problem = _problem(parse_json(header), num_data_bytes)
     except (ValueError, RecursionError) as error:
         problem = f"its header is not valid JSON ({str(error)[:80]})"
     if problem:

@@ -29,7 +29,7 @@ ROWS_OF = {"chunk": "chunks", "sh": "rows of harmonics"}
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 CHUNK_ROWS = 256
 _AXES, _COLORS = ("x", "y", "z"), ("r", "g", "b")
-_KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+_STORED_COMPONENTS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 def gaussians_of_chunks(tables: Mapping[str, Table], *, antialiased: bool) -> StoredGaussians:
@@ -73,10 +73,10 @@ def _between(chunks: Table, of: str, names: tuple[str, ...], chunk: NDArray[np.i
 
 def _quats(words: NDArray[np.uint32]) -> FloatArray:
     rows, largest = np.arange(len(words)), (words >> 30).astype(np.int64)
-    rest = np.column_stack([(words >> shift & 1023) / 1023 - 0.5 for shift in (20, 10, 0)]) * math.sqrt(2)
+    components = np.column_stack([(words >> shift & 1023) / 1023 - 0.5 for shift in (20, 10, 0)]) * math.sqrt(2)
     quats = np.empty((len(words), 4))
-    quats[rows[:, None], _KEPT[largest]] = rest
-    quats[rows, largest] = np.sqrt(np.maximum(0, 1 - (rest**2).sum(axis=1)))
+    quats[rows[:, None], _STORED_COMPONENTS[largest]] = components
+    quats[rows, largest] = np.sqrt(np.maximum(0, 1 - (components**2).sum(axis=1)))
     return quats
 
 

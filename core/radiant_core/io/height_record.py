@@ -24,8 +24,8 @@ HEIGHTS_FROM, LIMITS = "heights_from", "height_limits_m"
 
 def heights_record(waypoints: Waypoints) -> dict[str, Any]:
     """The entries above, for the record of the waypoints."""
-    same = waypoints.counts_from
-    named = [HEIGHT_KINDS[code] for code in same.tolist()] if isinstance(same, np.ndarray) else same
+    kinds = waypoints.counts_from
+    named = [HEIGHT_KINDS[code] for code in kinds.tolist()] if isinstance(kinds, np.ndarray) else kinds
     limits = waypoints.limits
     return {HEIGHTS_FROM: named, **({} if limits == HeightLimits() else {LIMITS: [limits.lowest_m, limits.highest_m]})}
 

@@ -67,23 +67,23 @@ def _checked_part(part: StoredGaussians, path: Path) -> Splats:
         raise BadInput(f"cannot use {path}: {error}") from error
 
 
-def _checked(given: Any) -> LodMeta:
-    if not isinstance(given, dict) or not given.keys() <= _KEYS or not given.keys() >= {"version", "lodLevels", "filenames", "tree"}:
+def _checked(record: Any) -> LodMeta:
+    if not isinstance(record, dict) or not record.keys() <= _KEYS or not record.keys() >= {"version", "lodLevels", "filenames", "tree"}:
         raise BadInput("it is no lod-meta.json")
-    if given["version"] != 1:
-        raise BadInput(f"its version is {str(given['version'])[:20]}, expected 1")
-    levels = _whole("lodLevels", given["lodLevels"], 1, MAX_LEVELS)
-    names = given["filenames"]
+    if record["version"] != 1:
+        raise BadInput(f"its version is {str(record['version'])[:20]}, expected 1")
+    levels = _whole("lodLevels", record["lodLevels"], 1, MAX_LEVELS)
+    names = record["filenames"]
     if not isinstance(names, list) or len(names) > MAX_FILES or not all(_lies_below(name) for name in names):
         raise BadInput("its filenames are no list of files below it")
     if len(set(names)) < len(names):
         raise BadInput("its filenames name a file twice")
-    environment = given.get("environment")
+    environment = record.get("environment")
     if environment is not None and not _lies_below(environment):
         raise BadInput("its environment is no file below it")
     counts, of_file, num_leaves = np.zeros(levels, np.int64), np.zeros(len(names), np.int64), 0
     level_of_file = np.full(len(names), -1)
-    for leaf in _leaves(given["tree"]):
+    for leaf in _leaves(record["tree"]):
         num_leaves += 1
         for level, file, offset, count in _spans(leaf, levels, len(names)):
             if level_of_file[file] not in (-1, level):
@@ -93,8 +93,8 @@ def _checked(given: Any) -> LodMeta:
             level_of_file[file] = level
             of_file[file] += count
             counts[level] += count
-    if "counts" in given and given["counts"] != counts.tolist():
-        raise BadInput(f"its counts are {str(given['counts'])[:60]}, its leaves have {counts.tolist()}")
+    if "counts" in record and record["counts"] != counts.tolist():
+        raise BadInput(f"its counts are {str(record['counts'])[:60]}, its leaves have {counts.tolist()}")
     of_level = [np.flatnonzero(level_of_file == level) for level in range(levels)]
     return LodMeta(
         counts=tuple(counts.tolist()),

@@ -140,13 +140,13 @@ def _thinned(page: TiffPage, step: int) -> NDArray[np.uint8]:
     image = np.zeros((-(-height // step), -(-width // step), 4), np.uint8)
     has_alpha = bool(page.extrasamples) and int(page.extrasamples[0]) in _ALPHA
     for segment, index, shape in page.segments():
-        top, left = int(index[-3]), int(index[-2])
+        first_row, first_column = int(index[-3]), int(index[-2])
         if segment is None:
             continue
-        part = np.asarray(segment)[0, : min(shape[1], height - top), : min(shape[2], width - left)]
-        rows, columns = -(-top // step), -(-left // step)
-        cells = part[rows * step - top :: step, columns * step - left :: step]
-        found = image[rows : rows + cells.shape[0], columns : columns + cells.shape[1]]
-        found[..., :3] = cells[..., :3]
-        found[..., 3] = cells[..., 3] if has_alpha else 255
+        part = np.asarray(segment)[0, : min(shape[1], height - first_row), : min(shape[2], width - first_column)]
+        rows, columns = -(-first_row // step), -(-first_column // step)
+        cells = part[rows * step - first_row :: step, columns * step - first_column :: step]
+        target = image[rows : rows + cells.shape[0], columns : columns + cells.shape[1]]
+        target[..., :3] = cells[..., :3]
+        target[..., 3] = cells[..., 3] if has_alpha else 255
     return image

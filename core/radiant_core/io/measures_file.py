@@ -66,22 +66,22 @@ def load_measures(run: Path) -> dict[str, Any]:
     data = read_bounded(path, MAX_JSON_BYTES)
     try:
         parse_json(data)  # also where a key comes twice
-        found = _MEASURES.validate_json(data)
+        measures = _MEASURES.validate_json(data)
     except ValidationError as error:
         problem = problem_sentence(error, "measure").rstrip(".")
         raise BadInput(f"{path} does not hold measures ({problem}): correct it, or move it away.") from error
     except (ValueError, RecursionError) as error:
         raise StoreDamaged(f"{path} is not valid JSON ({error}): correct it, or move it away.") from error
-    for name, row in found.items():
+    for name, row in measures.items():
         if len(row.places) < LEAST_PLACES[row.kind]:
             raise BadInput(f"{path} does not hold measures ({name!r} has {len(row.places)} places for its {row.kind}): move it away.")
-    return {name: {"crs": row.crs, **row.model_dump(mode="json", exclude_unset=True)} for name, row in found.items()}
+    return {name: {"crs": row.crs, **row.model_dump(mode="json", exclude_unset=True)} for name, row in measures.items()}
 
 
-def save_measures(run: Path, kept: dict[str, Any]) -> None:
+def save_measures(run: Path, measures: dict[str, Any]) -> None:
     """Write the measures of a run, atomically."""
     (run / FOLDER).mkdir(exist_ok=True)
-    write_json(run / FOLDER / MEASURES, kept)
+    write_json(run / FOLDER / MEASURES, measures)
 
 
 def places_of(row: dict[str, Any]) -> FloatArray:
@@ -93,5 +93,5 @@ def figures_text(row: dict[str, Any]) -> str:
     """A measure's figures with σ in one line, and what is known of the scale."""
     figures = [f"{name} {about['value']:.3f} ± {about['sigma']:.3f} {about['unit']}" for name, about in row["figures"].items()]
     filled = row.get("filled", 0)
-    said = f"; {row['scale']}" if row.get("scale") else ""
-    return "; ".join(figures) + (f" ({100 * filled:.0f} % filled)" if filled >= LEAST_SHOWN else "") + said
+    scale_note = f"; {row['scale']}" if row.get("scale") else ""
+    return "; ".join(figures) + (f" ({100 * filled:.0f} % filled)" if filled >= LEAST_SHOWN else "") + scale_note

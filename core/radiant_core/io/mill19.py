@@ -69,7 +69,7 @@ def given_from_scene(folder: Path) -> Sim3:
 def _image_name(folder: Path, split: str, metadata_path: Path) -> str:
     names = [name for suffix in SUFFIXES if (folder / (name := f"{split}/rgbs/{metadata_path.stem}{suffix}")).is_file()]
     # Where letter case does not count .jpg and .JPG are one file.
-    names = [name for at, name in enumerate(names) if not any((folder / name).samefile(folder / other) for other in names[:at])]
+    names = [name for at, name in enumerate(names) if not any((folder / name).samefile(folder / earlier) for earlier in names[:at])]
     if len(names) > 1:
         raise BadInput(f"{metadata_path} has {len(names)} images, {' and '.join(names)}: leave the one that it was made from.")
     if names:
@@ -127,10 +127,10 @@ def _unpacked_bytes(path: Path) -> int:
 
 def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> FloatArray:
     """The finite numbers of `shape` under `key`."""
-    found = tuple(getattr(loaded.get(key), "shape", shape))
+    stored_shape = tuple(getattr(loaded.get(key), "shape", shape))
     # Before anything is converted: by its strides a small tensor holds billions of numbers.
-    if found != shape and (shape or any(side != 1 for side in found)):
-        raise BadInput(f"{path}: {key!r} has shape {found}, expected {shape}.")
+    if stored_shape != shape and (shape or any(side != 1 for side in stored_shape)):
+        raise BadInput(f"{path}: {key!r} has shape {stored_shape}, expected {shape}.")
     try:
         values = np.asarray(_of_shape(loaded[key], shape), dtype=np.float64).reshape(shape)
     except (KeyError, TypeError, ValueError, RuntimeError, OverflowError):

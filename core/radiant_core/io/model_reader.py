@@ -37,7 +37,7 @@ SPZ_AXES = (
     "splat-transform, turn them by 180° about x"
 )
 _SAFETENSORS_HEADER = 8
-_READ = "a .ply, .compressed.ply, .spz, .splat, .sog, lod-meta.json or model.safetensors"
+_READABLE = "a .ply, .compressed.ply, .spz, .splat, .sog, lod-meta.json or model.safetensors"
 _OTHERS = {
     b"glTF": "a GLB, which is written here and not read",
     b"PAR1": "a Parquet file",
@@ -79,16 +79,16 @@ def read_model(path: Path) -> ModelFile:
     """
     kind = model_kind(path)
     if kind is None:
-        raise BadInput(f"{path} is neither a run nor a model that is read here, but {_what_it_is(path)}: give {_READ}, or a run.")
+        raise BadInput(f"{path} is neither a run nor a model that is read here, but {_what_it_is(path)}: give {_READABLE}, or a run.")
     try:
-        made = usable(_READERS[kind](path))
+        model = usable(_READERS[kind](path))
     except OSError as error:
         raise BadInput(f"cannot read {path}: {error.strerror or error}: check the path.") from error
     except BadInput as error:
         if str(path) in str(error):
             raise
         raise BadInput(f"cannot use {path}: {str(error).rstrip('.')}: export it anew, or as a binary 3DGS PLY file.") from error
-    return ModelFile(splats=made.splats, notes=tuple(f"{path.name}: {note}." for note in made.notes))
+    return ModelFile(splats=model.splats, notes=tuple(f"{path.name}: {note}." for note in model.notes))
 
 
 def _json_kind(path: Path) -> ModelKind | None:
@@ -112,10 +112,10 @@ def _what_it_is(path: Path) -> str:
             head = file.read(16)
     except (OSError, ValueError) as error:
         return f"no file that can be read ({getattr(error, 'strerror', None) or error})"
-    known = next((what for start, what in _OTHERS.items() if head.startswith(start)), None)
+    description = next((kind for start, kind in _OTHERS.items() if head.startswith(start)), None)
     if path.suffix.lower() == ".ksplat":
-        known = "a .ksplat, which is not read"
-    return known or f"a file that begins with {head!r}"
+        description = "a .ksplat, which is not read"
+    return description or f"a file that begins with {head!r}"
 
 
 def _spz(path: Path) -> StoredGaussians:
@@ -124,8 +124,8 @@ def _spz(path: Path) -> StoredGaussians:
         from radiant_core.io.open3d_formats import splats_from_any_spz
 
         return stored(splats_from_any_spz(data), (SPZ_AXES,))
-    given = gaussians_of_gzip_spz(data)
-    return StoredGaussians(**{**vars(given), "notes": (SPZ_AXES,)})
+    stored_model = gaussians_of_gzip_spz(data)
+    return StoredGaussians(**{**vars(stored_model), "notes": (SPZ_AXES,)})
 
 
 def _lod(path: Path) -> StoredGaussians:

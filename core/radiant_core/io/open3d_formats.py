@@ -164,11 +164,11 @@ def _log_instead_of_output() -> Iterator[None]:
     """Open3D reports each SPZ file on standard output, where a command may be printing JSON: those
     reports go to standard error."""
     sys.stdout.flush()
-    kept = os.dup(1)
+    saved_fd = os.dup(1)
     os.dup2(2, 1)
     try:
         yield
     finally:
         ctypes.CDLL(None).fflush(None)
-        os.dup2(kept, 1)
-        os.close(kept)
+        os.dup2(saved_fd, 1)
+        os.close(saved_fd)

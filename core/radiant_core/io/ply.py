@@ -42,8 +42,8 @@ NUMS_REST = (0, 9, 24, 45, 72)
 def save_ply(path: Path, splats: Splats, comments: Sequence[str] = ()) -> None:
     """Write N Gaussians to `path`, atomically, with lines of text in the header; BadInput when it
     cannot be written."""
-    rest = tuple(f"f_rest_{index}" for index in range(3 * splats.shN.shape[1]))
-    names = (*MEANS, "nx", "ny", "nz", *SH0, *rest, "opacity", *LOG_SCALES, *QUATS)
+    higher_bands = tuple(f"f_rest_{index}" for index in range(3 * splats.shN.shape[1]))
+    names = (*MEANS, "nx", "ny", "nz", *SH0, *higher_bands, "opacity", *LOG_SCALES, *QUATS)
     properties = "".join(f"property float {name}\n" for name in names)
     lines = ((ANTIALIASED, f"{RENDER_MODE} mip") if splats.antialiased else ()) + tuple(comments)
     comment = "".join(f"comment {line}\n" for line in lines)
@@ -69,13 +69,13 @@ def load_ply(path: Path) -> Splats:
             values that are not finite; the message names it.
     """
     try:
-        given = read_ply(path)
+        gaussians = read_ply(path)
     except BadInput as error:
         raise BadInput(f"cannot use {path}: {str(error).rstrip('.')}: export it as a binary 3DGS PLY file.") from error
     except OSError as error:
         raise BadInput(f"cannot read {path}: {error.strerror or error}: check the path.") from error
     try:
-        return checked(given)
+        return checked(gaussians)
     except BadInput as error:
         reason = str(error).removesuffix(": remove them first.")
         raise BadInput(f"cannot use {path}: {reason}: 'radiant export {path} NEW.ply' leaves such Gaussians out.") from error
@@ -103,8 +103,8 @@ def _gaussians(vertices: Table, *, antialiased: bool) -> StoredGaussians:
     num_rest = sum(name.startswith("f_rest_") for name in vertices.element.properties)
     if num_rest not in NUMS_REST:
         raise BadInput(f"it has {num_rest} f_rest properties, expected 0, 9, 24 or 45 (degree 0 to 3)")
-    rest = [f"f_rest_{index}" for index in range(num_rest)]
-    missing = [name for name in (*MEANS, *SH0, *rest, "opacity", *LOG_SCALES, *QUATS) if not vertices.has(name, "f")]
+    higher_bands = [f"f_rest_{index}" for index in range(num_rest)]
+    missing = [name for name in (*MEANS, *SH0, *higher_bands, "opacity", *LOG_SCALES, *QUATS) if not vertices.has(name, "f")]
     if missing:
         raise BadInput(f"it has no property {missing[0]!r} of a floating type, which Gaussians have and points and meshes have not")
     return StoredGaussians(
@@ -113,7 +113,7 @@ def _gaussians(vertices: Table, *, antialiased: bool) -> StoredGaussians:
         log_scales=vertices.columns(LOG_SCALES),
         logit_opacities=vertices.columns(("opacity",))[:, 0],
         sh0=vertices.columns(SH0)[:, None, :],
-        shN=vertices.columns(rest).reshape(len(vertices), 3, num_rest // 3).transpose(0, 2, 1),
+        shN=vertices.columns(higher_bands).reshape(len(vertices), 3, num_rest // 3).transpose(0, 2, 1),
         antialiased=antialiased,
     )
 

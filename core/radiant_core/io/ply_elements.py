@@ -117,13 +117,13 @@ class _Part:
     element: Element
     noun: str | None
     order: str
-    left: int
+    num_bytes_left: int
 
-    def too_short(self, each: str) -> str:
-        return f"it has {self.left} bytes after the header, expected {self.element.count} {self._rows} of {each}"
+    def too_short(self, size: str) -> str:
+        return f"it has {self.num_bytes_left} bytes after the header, expected {self.element.count} {self._rows} of {size}"
 
-    def ends_after(self, done: int) -> str:
-        return f"it ends after {done} of {self.element.count} {self._rows}"
+    def ends_after(self, num_rows: int) -> str:
+        return f"it ends after {num_rows} of {self.element.count} {self._rows}"
 
     @property
     def _rows(self) -> str:
@@ -147,9 +147,9 @@ def read_elements(path: Path, rows_of: Mapping[str, str]) -> tuple[PlyHeader, di
         for element in header.elements:
             if not missing:
                 break
-            read = _read_text if header.form == "ascii" else _read_records
-            part = _Part(element=element, noun=rows_of.get(element.name), order=_BYTE_ORDERS[header.form], left=end - file.tell())
-            rows = read(file, part)
+            read_rows = _read_text if header.form == "ascii" else _read_records
+            part = _Part(element=element, noun=rows_of.get(element.name), order=_BYTE_ORDERS[header.form], num_bytes_left=end - file.tell())
+            rows = read_rows(file, part)
             if rows is not None:
                 tables[element.name] = Table(element, rows)
             missing.discard(element.name)
@@ -205,7 +205,7 @@ def _read_records(file: IO[bytes], part: _Part) -> NDArray | None:
     element, dtype = part.element, part.element.dtype(part.order)
     if element.has_lists:
         return _walk_lists(file, part)
-    if element.count * dtype.itemsize > part.left:
+    if element.count * dtype.itemsize > part.num_bytes_left:
         raise BadInput(part.too_short(f"{dtype.itemsize} bytes"))
     if part.noun is None:
         file.seek(element.count * dtype.itemsize, os.SEEK_CUR)
@@ -221,7 +221,7 @@ def _walk_lists(file: IO[bytes], part: _Part) -> NDArray | None:
     element, scalars = part.element, bytearray()
     kinds = [(kind, None) if isinstance(kind, str) else kind for kind in element.properties.values()]
     shortest = sum(np.dtype(first).itemsize for first, _ in kinds)
-    if element.count * shortest > part.left:
+    if element.count * shortest > part.num_bytes_left:
         raise BadInput(part.too_short(f"at least {shortest} bytes"))
     for row in range(element.count):
         for first, entry in kinds:
@@ -232,7 +232,7 @@ def _walk_lists(file: IO[bytes], part: _Part) -> NDArray | None:
                 scalars += data if part.noun else b""
                 continue
             num_bytes = int(np.frombuffer(data, part.order + first)[0]) * np.dtype(entry).itemsize
-            if not 0 <= num_bytes <= part.left:
+            if not 0 <= num_bytes <= part.num_bytes_left:
                 raise BadInput(f"a list of its element {element.name[:40]!r} takes {num_bytes} bytes, more than the file has")
             file.seek(num_bytes, os.SEEK_CUR)
     dtype = element.dtype(part.order)
@@ -246,14 +246,14 @@ def _read_text(file: IO[bytes], part: _Part) -> NDArray | None:
     element = part.element
     width = sum(isinstance(kind, str) for kind in element.properties.values())
     # A number and what parts it from the next take two bytes; the last line may lack its end.
-    if element.count * max(1, 2 * len(element.properties)) > part.left + 1:
+    if element.count * max(1, 2 * len(element.properties)) > part.num_bytes_left + 1:
         raise BadInput(part.too_short(f"{width} numbers"))
-    parts, done = [np.zeros((0, width))], 0
-    while done < element.count:
-        lines = list(islice(iter(lambda: file.readline(MAX_ROW_BYTES), b""), min(TEXT_ROWS, element.count - done)))
+    parts, num_rows = [np.zeros((0, width))], 0
+    while num_rows < element.count:
+        lines = list(islice(iter(lambda: file.readline(MAX_ROW_BYTES), b""), min(TEXT_ROWS, element.count - num_rows)))
         if not lines:
-            raise BadInput(part.ends_after(done))
-        done += len(lines)
+            raise BadInput(part.ends_after(num_rows))
+        num_rows += len(lines)
         if part.noun:
             parts.append(_numbers([_scalars(line, element) for line in lines] if element.has_lists else lines, width, element.name))
     return np.concatenate(parts) if part.noun else None
@@ -271,18 +271,18 @@ def _numbers(lines: list[bytes], width: int, name: str) -> NDArray[np.float64]:
 
 def _scalars(line: bytes, element: Element) -> bytes:
     """A row of text without its lists."""
-    words, kept = iter(line.split()), []
+    words, scalars = iter(line.split()), []
     try:
         for kind in element.properties.values():
             word = next(words)
             if isinstance(kind, str):
-                kept.append(word)
+                scalars.append(word)
                 continue
             for _ in range(int(word)):
                 next(words)
     except (StopIteration, ValueError):
         raise BadInput(f"a row of its element {element.name[:40]!r} is shorter than its list says") from None
-    return b" ".join(kept)
+    return b" ".join(scalars)
 
 
 def _require_end(start: int, end: int, part: _Part, header: PlyHeader) -> None:
@@ -292,5 +292,5 @@ def _require_end(start: int, end: int, part: _Part, header: PlyHeader) -> None:
     sizes = [element.count * element.dtype("<").itemsize for element in header.elements]
     if sum(sizes) != end - start:
         last = part.element
-        each = f"{last.count} {part.noun} of {last.dtype('<').itemsize} bytes" + (" and other elements" if len(sizes) > 1 else "")
-        raise BadInput(f"it has {end - start} bytes after the header, expected {each}, {sum(sizes)} bytes")
+        expected = f"{last.count} {part.noun} of {last.dtype('<').itemsize} bytes" + (" and other elements" if len(sizes) > 1 else "")
+        raise BadInput(f"it has {end - start} bytes after the header, expected {expected}, {sum(sizes)} bytes")

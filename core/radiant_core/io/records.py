@@ -175,8 +175,8 @@ class PlanFile:
 
 def load_plan(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The plan that `save_plan` wrote; StoreDamaged when broken, BadInput when it is no plan."""
-    found = load_plan_file(path)
-    return found.cloud, found.edges
+    plan_file = load_plan_file(path)
+    return plan_file.cloud, plan_file.edges
 
 
 def load_plan_groups(path: Path) -> tuple[GroupPlan, ...]:

@@ -34,7 +34,7 @@ MAX_COUNT = 16383**2
 ROWS_PER_LINE = 64
 MAX_SPARE_PX = 1 << 16
 """Pixels that a texture may have beyond four times what its Gaussians need."""
-_KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+_STORED_COMPONENTS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 MAX_PX_BYTES = 6
 """Of a texture's pixel as WebP or PNG, which hold four bytes of noise in little more."""
 FileReader = Callable[[str, int], bytes]
@@ -82,9 +82,9 @@ def load_sog(path: Path) -> Splats:
     Raises BadInput for what is no SOG of version 2, names files elsewhere, or does not hold what it
     says; the message names it.
     """
-    given = read_sog(path)
+    gaussians = read_sog(path)
     try:
-        return checked(given)
+        return checked(gaussians)
     except BadInput as error:
         raise BadInput(f"cannot use {path}: {error}") from error
 
@@ -105,11 +105,11 @@ def read_sog(path: Path, count: int | None = None) -> StoredGaussians:
 def _loose(meta: Path, count: int | None) -> StoredGaussians:
     """The model of a meta.json with textures beside it."""
 
-    def read(name: str, most: int) -> bytes:
+    def read_bytes(name: str, most: int) -> bytes:
         return read_bounded(meta.with_name(name), most)
 
-    names = _texture_names(_meta(read(META_NAME, MAX_META_BYTES)))
-    return _decoded(read, sum(meta.with_name(name).stat().st_size for name in set(names) if meta.with_name(name).is_file()), count)
+    names = _texture_names(_meta(read_bytes(META_NAME, MAX_META_BYTES)))
+    return _decoded(read_bytes, sum(meta.with_name(name).stat().st_size for name in set(names) if meta.with_name(name).is_file()), count)
 
 
 def _member(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
@@ -127,28 +127,28 @@ def _member(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
         raise BadInput(f"its file {name} is missing or damaged") from error
 
 
-def _decoded(read: FileReader, num_bytes: int, expected: int | None) -> StoredGaussians:
+def _decoded(read_bytes: FileReader, num_bytes: int, expected: int | None) -> StoredGaussians:
     """The model of files that have so many bytes in all."""
-    meta = _meta(read(META_NAME, MAX_META_BYTES))
+    meta = _meta(read_bytes(META_NAME, MAX_META_BYTES))
     count = meta.count
     if expected is not None and count != expected:
         raise BadInput(f"it says {count:,} Gaussians, its lod-meta.json {expected:,}")
     require_believable(count, num_bytes)
-    low, high = (_pixels(read, name, count)[:, :3].astype(np.float64) for name in meta.means.files)
+    low, high = (_pixels(read_bytes, name, count)[:, :3].astype(np.float64) for name in meta.means.files)
     ends = np.array([meta.means.mins, meta.means.maxs])
     # Beyond e⁸⁸ there is no float32; the bounds are those of signed logarithms.
     if np.abs(ends).max() > 88:
         raise BadInput(f"its centres reach to e^{np.abs(ends).max():.3g}, beyond any coordinate")
     logs = ends[0] + (256 * high + low) / 65535 * (ends[1] - ends[0])
-    colors = _pixels(read, meta.sh0.files[0], count)
+    colors = _pixels(read_bytes, meta.sh0.files[0], count)
     opacities = np.clip(colors[:, 3] / 255, END_OPACITY, 1 - END_OPACITY)
     return StoredGaussians(
         means=np.sign(logs) * np.expm1(np.abs(logs)),
-        quats=_quats(_pixels(read, meta.quats.files[0], count)),
-        log_scales=np.array(meta.scales.codebook)[_pixels(read, meta.scales.files[0], count)[:, :3]],
+        quats=_quats(_pixels(read_bytes, meta.quats.files[0], count)),
+        log_scales=np.array(meta.scales.codebook)[_pixels(read_bytes, meta.scales.files[0], count)[:, :3]],
         logit_opacities=logit(opacities),
         sh0=np.array(meta.sh0.codebook)[colors[:, None, :3]],
-        shN=_harmonics(read, meta.shN, count),
+        shN=_harmonics(read_bytes, meta.shN, count),
         antialiased=meta.antialias or meta.model == "antialiased",
     )
 
@@ -157,14 +157,14 @@ def _meta(data: bytes) -> _Meta:
     if len(data) > MAX_META_BYTES:
         raise BadInput(f"its {META_NAME} has {len(data)} bytes, expected at most {MAX_META_BYTES}")
     try:
-        given = parse_json(data)
+        record = parse_json(data)
     except (ValueError, RecursionError) as error:
         raise BadInput(f"its {META_NAME} is no JSON ({error})") from error
     try:
         # Through JSON's rules, by which a list may be a tuple.
         meta = _Meta.model_validate_json(data)
     except ValidationError as error:
-        raise BadInput(problem_sentence(error, "SOG file", given=given)) from error
+        raise BadInput(problem_sentence(error, "SOG file", data=record)) from error
     for name in _texture_names(meta):
         if not name or "/" in name or "\\" in name or name.startswith(".") or not name.isprintable():
             raise BadInput(f"its texture {name[:60]!r} does not lie beside its {META_NAME}")
@@ -175,18 +175,18 @@ def _texture_names(meta: _Meta) -> list[str]:
     return [*meta.means.files, *meta.scales.files, *meta.quats.files, *meta.sh0.files, *(meta.shN.files if meta.shN else ())]
 
 
-def _pixels(read: FileReader, name: str, count: int) -> NDArray[np.uint8]:
+def _pixels(read_bytes: FileReader, name: str, count: int) -> NDArray[np.uint8]:
     """The first `count` pixels (N,4) of a texture."""
-    return _texture(read, name, count).reshape(-1, 4)[:count]
+    return _texture(read_bytes, name, count).reshape(-1, 4)[:count]
 
 
-def _texture(read: FileReader, name: str, count: int) -> NDArray[np.uint8]:
+def _texture(read_bytes: FileReader, name: str, count: int) -> NDArray[np.uint8]:
     """A texture (H,W,4) of at least `count` pixels."""
     most_px = 4 * count + MAX_SPARE_PX
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            data = read(name, MAX_PX_BYTES * most_px + MAX_SPARE_PX)
+            data = read_bytes(name, MAX_PX_BYTES * most_px + MAX_SPARE_PX)
             with Image.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
                 num_px = image.width * image.height
                 if not count <= num_px <= most_px:
@@ -199,24 +199,24 @@ def _texture(read: FileReader, name: str, count: int) -> NDArray[np.uint8]:
 def _quats(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
     if (pixels[:, 3] < 252).any():
         raise BadInput("a rotation does not say which of its components is left out")
-    kept = (pixels[:, :3] / 255 - 0.5) * math.sqrt(2)
+    components = (pixels[:, :3] / 255 - 0.5) * math.sqrt(2)
     largest = pixels[:, 3].astype(np.int64) - 252
     quats = np.empty((len(pixels), 4))
     rows = np.arange(len(pixels))
-    quats[rows[:, None], _KEPT[largest]] = kept
-    quats[rows, largest] = np.sqrt(np.maximum(0.0, 1 - (kept**2).sum(axis=1)))
+    quats[rows[:, None], _STORED_COMPONENTS[largest]] = components
+    quats[rows, largest] = np.sqrt(np.maximum(0.0, 1 - (components**2).sum(axis=1)))
     return quats.astype(np.float32)
 
 
-def _harmonics(read: FileReader, meta: _Harmonics | None, count: int) -> NDArray[np.float32]:
+def _harmonics(read_bytes: FileReader, meta: _Harmonics | None, count: int) -> NDArray[np.float32]:
     if meta is None:
         return np.zeros((count, 0, 3), np.float32)
     bases = SH_BASES[meta.bands] - 1
     lines = -(-meta.count // ROWS_PER_LINE)
-    palette = _texture(read, meta.files[0], lines * ROWS_PER_LINE * bases)
+    palette = _texture(read_bytes, meta.files[0], lines * ROWS_PER_LINE * bases)
     if palette.shape[1] != ROWS_PER_LINE * bases:
         raise BadInput(f"its texture {meta.files[0]} is {palette.shape[1]} pixels wide, expected {ROWS_PER_LINE * bases}")
-    labels = _pixels(read, meta.files[1], count).astype(np.int64)
+    labels = _pixels(read_bytes, meta.files[1], count).astype(np.int64)
     label = labels[:, 0] + 256 * labels[:, 1]
     if label.max() >= meta.count:
         raise BadInput(f"a label is {label.max()}, expected less than the {meta.count} rows of its palette")

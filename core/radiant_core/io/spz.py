@@ -108,7 +108,7 @@ def gaussians_of_gzip_spz(data: bytes) -> StoredGaussians:
         raise BadInput(f"its SPZ is not as long as {count} Gaussians of degree {degree} are")
     rows = np.frombuffer(body, np.uint8, size)
     widths = np.cumsum([6 if version == 1 else 9, 1, 3, 3, 4 if version == 3 else 3])
-    means, opacities, colors, scales, rotations, rest = np.split(rows, widths * count)
+    means, opacities, colors, scales, rotations, harmonics = np.split(rows, widths * count)
     quats = (_from_smallest_three if version == 3 else _from_first_three)(rotations.reshape(count, -1))
     opacity = np.clip(opacities / 255.0, END_OPACITY, 1 - END_OPACITY)
     return StoredGaussians(
@@ -117,7 +117,7 @@ def gaussians_of_gzip_spz(data: bytes) -> StoredGaussians:
         log_scales=np.asarray(scales.reshape(count, 3) / 16.0 - 10, np.float32),
         logit_opacities=np.log(opacity) - np.log1p(-opacity),
         sh0=(colors.reshape(count, 1, 3) - 127.5) / _COLOR,
-        shN=np.asarray((rest.reshape(count, (degree + 1) ** 2 - 1, 3) - 128.0) / 128, np.float32),
+        shN=np.asarray((harmonics.reshape(count, (degree + 1) ** 2 - 1, 3) - 128.0) / 128, np.float32),
         antialiased=bool(flags & _ANTIALIASED),
     )
 
@@ -171,8 +171,8 @@ def _relabellings() -> tuple[FloatArray, NDArray[np.int64]]:
     (24,3)."""
     corners = [np.array(signs) for signs in product((-1, 0, 1), repeat=4) if sum(map(abs, signs)) in (1, 2, 4)]
     # q and −q are one rotation: the one whose first number other than zero is positive.
-    found = np.array([corner / np.linalg.norm(corner) for corner in corners if corner[np.flatnonzero(corner)[0]] > 0])
-    return found, np.abs(rotmats_from_quats(found)).argmax(axis=1)
+    quats = np.array([corner / np.linalg.norm(corner) for corner in corners if corner[np.flatnonzero(corner)[0]] > 0])
+    return quats, np.abs(rotmats_from_quats(quats)).argmax(axis=1)
 
 
 def _first_three(quats: FloatArray) -> NDArray[np.uint8]:

@@ -50,8 +50,8 @@ class SpzCuts:
             (self.num_clamped, f"{self.num_clamped:,} Gaussians have colours beyond SPZ's range, which are clamped"),
             (self.step > finest, f"centres are in steps of {self.step:.3g} units, not {finest:.2g}, to reach {reach:,.0f} units"),
         ]
-        said = "; ".join(text for count, text in parts if count)
-        return f"SPZ does not hold all of this model: {said}." if said else ""
+        losses = "; ".join(text for count, text in parts if count)
+        return f"SPZ does not hold all of this model: {losses}." if losses else ""
 
 
 def fraction_bits_of(splats: Splats) -> int:

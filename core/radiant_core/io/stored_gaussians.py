@@ -65,48 +65,48 @@ def stored(splats: Splats, notes: tuple[str, ...] = ()) -> StoredGaussians:
     return StoredGaussians(**splats.arrays(), antialiased=splats.antialiased, notes=notes)
 
 
-def checked(given: StoredGaussians) -> Splats:
+def checked(gaussians: StoredGaussians) -> Splats:
     """All Gaussians; BadInput for a value that is not finite, with its tensor and index."""
     return Splats(
-        means=given.means,
-        quats=given.quats,
-        log_scales=given.log_scales,
-        logit_opacities=given.logit_opacities,
-        sh0=given.sh0,
-        shN=given.shN[:, :_MOST_BASES],
-        antialiased=given.antialiased,
+        means=gaussians.means,
+        quats=gaussians.quats,
+        log_scales=gaussians.log_scales,
+        logit_opacities=gaussians.logit_opacities,
+        sh0=gaussians.sh0,
+        shN=gaussians.shN[:, :_MOST_BASES],
+        antialiased=gaussians.antialiased,
     )
 
 
-def usable(given: StoredGaussians) -> ModelFile:
+def usable(gaussians: StoredGaussians) -> ModelFile:
     """The Gaussians that can be drawn, in the order of the file, and what became of the others;
     BadInput where there are some and none can be."""
-    given = _as_float32(given)
-    notes = list(given.notes)
-    if given.shN.shape[1] == _DEGREE_4_BASES:
+    gaussians = _as_float32(gaussians)
+    notes = list(gaussians.notes)
+    if gaussians.shN.shape[1] == _DEGREE_4_BASES:
         notes.append("its spherical harmonics of degree 4 are read to degree 3")
-    given = _saturated(given, notes)
-    is_finite = _are_finite(given)
+    gaussians = _saturated(gaussians, notes)
+    is_finite = _are_finite(gaussians)
     lost = int((~is_finite).sum())
     if lost and not is_finite.any():
-        raise BadInput(f"none of its {len(given):,} Gaussians has numbers that are all finite")
+        raise BadInput(f"none of its {len(gaussians):,} Gaussians has numbers that are all finite")
     if lost:
         why = f"have a number that is not finite, or a size beyond e^{MAX_LOG_SCALE:g}, and are left out"
-        notes.append(f"{lost:,} of its {len(given):,} Gaussians {why}")
-        given = _select(given, is_finite)
-    if zeros := int((given.quats == 0).all(axis=1).sum()):
+        notes.append(f"{lost:,} of its {len(gaussians):,} Gaussians {why}")
+        gaussians = _select(gaussians, is_finite)
+    if zeros := int((gaussians.quats == 0).all(axis=1).sum()):
         notes.append(f"{zeros:,} Gaussians have a rotation of length 0 and are taken as not rotated")
-    return ModelFile(splats=checked(given), notes=tuple(notes))
+    return ModelFile(splats=checked(gaussians), notes=tuple(notes))
 
 
-def _as_float32(given: StoredGaussians) -> StoredGaussians:
+def _as_float32(gaussians: StoredGaussians) -> StoredGaussians:
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        return replace(given, **{name: np.asarray(array, np.float32) for name, array in _arrays(given).items()})
+        return replace(gaussians, **{name: np.asarray(array, np.float32) for name, array in _arrays(gaussians).items()})
 
 
-def _saturated(given: StoredGaussians, notes: list[str]) -> StoredGaussians:
+def _saturated(gaussians: StoredGaussians, notes: list[str]) -> StoredGaussians:
     """With infinite opacities and scales of 0 as what they stand for; says so in `notes`."""
-    logits, log_scales = given.logit_opacities, given.log_scales
+    logits, log_scales = gaussians.logit_opacities, gaussians.log_scales
     if ends := int(np.isinf(logits).sum()):
         notes.append(f"{ends:,} Gaussians have an opacity of exactly 0 or 1 and are taken as {END_OPACITY:.1g} from it")
         logits = np.where(np.isinf(logits), np.float32(END_LOGIT) * np.sign(logits), logits)
@@ -114,20 +114,20 @@ def _saturated(given: StoredGaussians, notes: list[str]) -> StoredGaussians:
     if flat := int(is_flat.any(axis=1).sum()):
         notes.append(f"{flat:,} Gaussians have no thickness and are taken as e^{FLAT_LOG_SCALE:g} thick")
         log_scales = np.where(is_flat, np.float32(FLAT_LOG_SCALE), log_scales)
-    return replace(given, logit_opacities=logits, log_scales=log_scales)
+    return replace(gaussians, logit_opacities=logits, log_scales=log_scales)
 
 
-def _are_finite(given: StoredGaussians) -> NDArray[np.bool_]:
+def _are_finite(gaussians: StoredGaussians) -> NDArray[np.bool_]:
     """Which Gaussians (N,) have only finite values and scales that float32 can say."""
-    good = [(given.log_scales <= MAX_LOG_SCALE).all(axis=1)]
+    good = [(gaussians.log_scales <= MAX_LOG_SCALE).all(axis=1)]
     # Counted: an array of no harmonics has no other axis that could be left to numpy.
-    good += [np.isfinite(array).reshape(len(array), int(np.prod(array.shape[1:]))).all(axis=1) for array in _arrays(given).values()]
+    good += [np.isfinite(array).reshape(len(array), int(np.prod(array.shape[1:]))).all(axis=1) for array in _arrays(gaussians).values()]
     return np.logical_and.reduce(good)
 
 
-def _arrays(given: StoredGaussians) -> dict[str, NDArray[Any]]:
-    return {name: getattr(given, name) for name in ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN")}
+def _arrays(gaussians: StoredGaussians) -> dict[str, NDArray[Any]]:
+    return {name: getattr(gaussians, name) for name in ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN")}
 
 
-def _select(given: StoredGaussians, chosen: NDArray[np.bool_]) -> StoredGaussians:
-    return replace(given, **{name: array[chosen] for name, array in _arrays(given).items()})
+def _select(gaussians: StoredGaussians, chosen: NDArray[np.bool_]) -> StoredGaussians:
+    return replace(gaussians, **{name: array[chosen] for name, array in _arrays(gaussians).items()})

@@ -17,14 +17,14 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
-def problem_sentence(error: ValidationError, kind: str, path: str = "", given: Any = None, model: type[BaseModel] | None = None) -> str:
+def problem_sentence(error: ValidationError, kind: str, path: str = "", data: Any = None, model: type[BaseModel] | None = None) -> str:
     """The first problem at a key's `path` in a `kind` of file: its path, what came and what is
     expected; by its `model`, the key that was probably meant.
 
-    With what was `given`, the path has only keys that stand there, without pydantic's union tags.
+    With what was `data`, the path has only keys that stand there, without pydantic's union tags.
     """
     problem = error.errors(include_url=False)[0]
-    parts = problem["loc"] if given is None else [*_keys_in(given, problem["loc"], problem["type"] == "missing")]
+    parts = problem["loc"] if data is None else [*_keys_in(data, problem["loc"], problem["type"] == "missing")]
     key = "".join([path, *(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts)]).lstrip(".")
     if problem["type"] == "missing":
         return f"{key} is missing: add it."
@@ -45,7 +45,11 @@ def _keys_at(model: type[BaseModel], place: Sequence[int | str]) -> list[str]:
     for part in place:
         if isinstance(part, str):
             fields = {field.alias or name: field for name, field in model.model_fields.items()}
-            inner = [] if part not in fields else [each for each in _types_in(fields[part].annotation) if issubclass(each, BaseModel)]
+            inner = (
+                []
+                if part not in fields
+                else [model_type for model_type in _types_in(fields[part].annotation) if issubclass(model_type, BaseModel)]
+            )
             if len(inner) != 1:
                 return []
             model = inner[0]
@@ -60,12 +64,12 @@ def _types_in(annotation: Any) -> Iterator[type]:
         yield from _types_in(part)
 
 
-def _keys_in(given: Any, parts: Sequence[int | str], is_missing: bool) -> Iterator[int | str]:
+def _keys_in(data: Any, parts: Sequence[int | str], is_missing: bool) -> Iterator[int | str]:
     """The parts of a place that are keys or indices of what was given; the last may be missing."""
     for number, part in enumerate(parts, 1):
         # A pair that is too short lacks its second number.
-        if (isinstance(given, dict) and part in given) or (isinstance(given, list) and isinstance(part, int) and part < len(given)):
+        if (isinstance(data, dict) and part in data) or (isinstance(data, list) and isinstance(part, int) and part < len(data)):
             yield part
-            given = given[part]  # pyright: ignore[reportArgumentType, reportCallIssue]
+            data = data[part]  # pyright: ignore[reportArgumentType, reportCallIssue]
         elif is_missing and number == len(parts):
             yield part

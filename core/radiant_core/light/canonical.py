@@ -40,7 +40,7 @@ class LightOfScore:
 
     def decision(self, stage: str) -> Decision:
         """How the light of those held out was predicted, as the report lists it."""
-        return self.prediction.decision(stage, int(self.trained.known.sum()))
+        return self.prediction.decision(stage, int(self.trained.is_known.sum()))
 
 
 def canonical_views(scene: SfmScene, views: TrainingViews, mode: LightMode) -> tuple[TrainingViews, Lights | None, tuple[Decision, ...]]:
@@ -54,7 +54,7 @@ def canonical_views(scene: SfmScene, views: TrainingViews, mode: LightMode) -> t
 
 
 def _is_wanted(lights: Lights, mode: LightMode) -> bool:
-    return bool(lights.known.any()) and (mode == "always" or lights.is_worth_modelling)
+    return bool(lights.is_known.any()) and (mode == "always" or lights.is_worth_modelling)
 
 
 def light_decision(lights: Lights, mode: LightMode) -> Decision:
@@ -68,7 +68,7 @@ def light_decision(lights: Lights, mode: LightMode) -> Decision:
         unit="% spread of brightness at common points",
         reason=_reason(lights),
         row=lights.regime.row,
-        otherwise="--set train.light=none" if wanted else "--set train.light=always" if lights.known.any() else "",
+        otherwise="--set train.light=none" if wanted else "--set train.light=always" if lights.is_known.any() else "",
         forced=mode == "always",
     )
 
@@ -87,7 +87,7 @@ def canonical_validation(lights: Lights, scene: SfmScene, validation: TrainingVi
     names = (*scene.cameras.names, *validation.cameras.names)
     captures = complete_captures({}, names)
     shots, targets = (shots_of(cameras, captures) for cameras in (scene.cameras, validation.cameras))
-    places = [scene.points[seen[:NUM_PLACES]] for seen in scene.points_of_cameras()]
+    places = [scene.points[point_rows[:NUM_PLACES]] for point_rows in scene.points_of_cameras()]
     return in_canonical_light(validation, predict_lights(lights, shots, places, targets).lights)
 
 
@@ -110,12 +110,12 @@ def light_of_score(
     """
     if mode == "none" or not len(held_out):
         return None
-    seen = lights_from_model(model, trained, backend)
-    if not seen.lights.known.any() or (mode == "auto" and not seen.lights.is_worth_modelling):
+    solved = lights_from_model(model, trained, backend)
+    if not solved.lights.is_known.any() or (mode == "auto" and not solved.lights.is_worth_modelling):
         return None
     captures = complete_captures(captures, (*trained.cameras.names, *held_out.names))
     shots, targets = (shots_of(cameras, captures) for cameras in (trained.cameras, held_out))
-    return LightOfScore(trained=seen.lights, prediction=predict_lights(seen.lights, shots, seen.places, targets))
+    return LightOfScore(trained=solved.lights, prediction=predict_lights(solved.lights, shots, solved.places, targets))
 
 
 def show_in_light(image: NDArray[np.float32], lights: Lights, index: int, cameras: Cameras) -> NDArray[np.float32]:

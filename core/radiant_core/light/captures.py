@@ -58,9 +58,9 @@ def load_captures(folder: Path) -> dict[str, tuple[int, float | None]]:
     else."""
     if not (folder / CAPTURES_NAME).is_file():
         return {}
-    found = read_json(folder / CAPTURES_NAME, ("photographs",))["photographs"]
+    photographs = read_json(folder / CAPTURES_NAME, ("photographs",))["photographs"]
     try:
-        return {str(name): (int(rank), None if exposure is None else float(exposure)) for name, (rank, exposure) in found.items()}
+        return {str(name): (int(rank), None if exposure is None else float(exposure)) for name, (rank, exposure) in photographs.items()}
     except (AttributeError, TypeError, ValueError) as error:
         raise BadInput(f"{folder / CAPTURES_NAME} does not hold a rank and an exposure per photograph: remove it.") from error
 

@@ -29,24 +29,24 @@ def parts_of(pixels: NDArray[np.integer], sizes_wh: NDArray[np.integer]) -> NDAr
     return row * PARTS_ACROSS + column
 
 
-def evenness(spread: float, left: FloatArray, view: NDArray[np.int64], part: NDArray[np.int64]) -> float:
+def evenness(spread: float, residuals: FloatArray, view: NDArray[np.int64], part: NDArray[np.int64]) -> float:
     """How many times as large as what they leave gains are.
 
     Args:
         spread: standard deviation of the log gains.
-        left: what they and the vignettings leave of log brightnesses (T,); NaN says nothing.
+        residuals: what they and the vignettings leave of log brightnesses (T,); NaN says nothing.
         view: the photograph of each (T,).
         part: the part of its picture (T,), by `parts_of`.
 
     Returns:
         The ratio; infinite where no part has enough observations to tell.
     """
-    tells = np.isfinite(left)
+    tells = np.isfinite(residuals)
     cells = view[tells] * PARTS_ACROSS**2 + part[tells]
     counts = np.bincount(cells)
     enough = counts >= MIN_OBSERVATIONS
     if not enough.any():
         return np.inf
-    counts, sums = counts[enough], np.bincount(cells, left[tells])[enough]
+    counts, sums = counts[enough], np.bincount(cells, residuals[tells])[enough]
     rms = float(np.sqrt(np.average((sums / counts) ** 2, weights=counts)))
     return spread / rms if rms > 0 else np.inf

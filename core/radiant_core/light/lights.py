@@ -30,13 +30,14 @@ FOCAL_STEP = 0.05
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lights:
     """The light of V photographs: log_gains (V,3); camera_of (V,), the camera of each of K;
-    vignettings (K,3 terms,3 channels); known (V,), whether its gain was measured, else 0; evenness,
-    how well gains explain whole pictures (`evenness.py`). BadInput when shapes disagree."""
+    vignettings (K,3 terms,3 channels); is_known (V,), whether its gain was measured, else 0;
+    evenness, how well gains explain whole pictures (`evenness.py`). BadInput when shapes
+    disagree."""
 
     log_gains: FloatArray
     camera_of: NDArray[np.int64]
     vignettings: FloatArray
-    known: NDArray[np.bool_]
+    is_known: NDArray[np.bool_]
     evenness: float = np.inf
 
     def __post_init__(self) -> None:
@@ -44,8 +45,8 @@ class Lights:
         object.__setattr__(self, "log_gains", check_array("log_gains", self.log_gains, (count, 3)))
         object.__setattr__(self, "camera_of", check_array("camera_of", self.camera_of, (count,), np.int64))
         object.__setattr__(self, "vignettings", check_array("vignettings", self.vignettings, (None, NUM_TERMS, 3)))
-        object.__setattr__(self, "known", np.asarray(self.known, bool))
-        if self.known.shape != (count,) or (count and not 0 <= self.camera_of.min() <= self.camera_of.max() < len(self.vignettings)):
+        object.__setattr__(self, "is_known", np.asarray(self.is_known, bool))
+        if self.is_known.shape != (count,) or (count and not 0 <= self.camera_of.min() <= self.camera_of.max() < len(self.vignettings)):
             raise BadInput(f"lights of {count} photographs name cameras or flags that are not there: give one of each per photograph.")
 
     @staticmethod
@@ -54,7 +55,7 @@ class Lights:
         camera_of, num_cameras = cameras_alike(cameras)
         vignettings = np.zeros((num_cameras, NUM_TERMS, 3))
         return Lights(
-            log_gains=np.zeros((len(cameras), 3)), camera_of=camera_of, vignettings=vignettings, known=np.zeros(len(cameras), bool)
+            log_gains=np.zeros((len(cameras), 3)), camera_of=camera_of, vignettings=vignettings, is_known=np.zeros(len(cameras), bool)
         )
 
     def __len__(self) -> int:
@@ -64,8 +65,8 @@ class Lights:
     def spread(self) -> float:
         """Standard deviation of the known log gains over photographs, root mean square over
         channels; 0 of fewer than two."""
-        own = self.log_gains[self.known]
-        return float(np.sqrt(np.mean(own.var(axis=0)))) if len(own) > 1 else 0.0
+        log_gains = self.log_gains[self.is_known]
+        return float(np.sqrt(np.mean(log_gains.var(axis=0)))) if len(log_gains) > 1 else 0.0
 
     @property
     def regime(self) -> Regime:
@@ -75,7 +76,7 @@ class Lights:
     @property
     def is_worth_modelling(self) -> bool:
         """Whether light differs, by gains that explain whole pictures."""
-        return bool(self.known.any()) and bool(self.regime.values["taken_out"])
+        return bool(self.is_known.any()) and bool(self.regime.values["taken_out"])
 
     @property
     def corner(self) -> float:
@@ -86,7 +87,7 @@ class Lights:
     def select(self, indices: ArrayLike) -> Lights:
         """Those of some photographs (K,) int, in that order."""
         rows = np.asarray(indices, np.int64)
-        return replace(self, log_gains=self.log_gains[rows], camera_of=self.camera_of[rows], known=self.known[rows])
+        return replace(self, log_gains=self.log_gains[rows], camera_of=self.camera_of[rows], is_known=self.is_known[rows])
 
     def factors(self, index: int, cameras: Cameras) -> NDArray[np.float32]:
         """By what photograph `index` is brighter than the canonical light, (H,W,3) at the size of
@@ -99,8 +100,8 @@ class Lights:
 
 def cameras_alike(cameras: Cameras) -> tuple[NDArray[np.int64], int]:
     """Which camera took each photograph (V,), told by size and focal length, and their number."""
-    kinds, which = np.unique(camera_keys(cameras), axis=0, return_inverse=True)
-    return np.asarray(which, np.int64).reshape(-1), len(kinds)
+    kinds, kind_indices = np.unique(camera_keys(cameras), axis=0, return_inverse=True)
+    return np.asarray(kind_indices, np.int64).reshape(-1), len(kinds)
 
 
 def camera_keys(cameras: Cameras) -> NDArray[np.int64]:

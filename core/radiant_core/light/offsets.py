@@ -90,13 +90,13 @@ def point_logs(scene: SfmScene, views: TrainingViews) -> PointLogs:
 def light_offsets(devices: Sequence[PointLogs]) -> LightOffsets:
     """The offsets of D devices, 0 where they have too little in common."""
     nothing = LightOffsets(offsets=np.zeros((len(devices), 3)), num_places=0)
-    if len(devices) < 2 or not all(len(each.points) for each in devices):
+    if len(devices) < 2 or not all(len(cloud.points) for cloud in devices):
         return nothing
-    points = np.concatenate([each.points for each in devices])
-    device = np.repeat(np.arange(len(devices)), [len(each.points) for each in devices])
+    points = np.concatenate([cloud.points for cloud in devices])
+    device = np.repeat(np.arange(len(devices)), [len(cloud.points) for cloud in devices])
     cells, place = np.unique(np.floor(points / _cell_m(devices)).astype(np.int64), axis=0, return_inverse=True)
     place = np.asarray(place).reshape(-1)
-    logs = np.concatenate([each.logs for each in devices]).astype(np.float64)
+    logs = np.concatenate([cloud.logs for cloud in devices]).astype(np.float64)
     pair = device * len(cells) + place
     pairs, row = np.unique(pair, return_inverse=True)
     means = np.full((len(pairs), 3), np.nan)
@@ -117,7 +117,7 @@ def light_offsets(devices: Sequence[PointLogs]) -> LightOffsets:
 def _cell_m(devices: Sequence[PointLogs]) -> float:
     from scipy.spatial import KDTree
 
-    points = max((each.points for each in devices), key=len)
+    points = max((cloud.points for cloud in devices), key=len)
     distances = KDTree(points).query(points, k=min(2, len(points)))[0].reshape(len(points), -1)[:, -1]
     spread = float(np.median(distances[distances > 0])) if (distances > 0).any() else 1.0
     return CELL_SPACINGS * spread

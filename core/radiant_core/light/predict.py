@@ -33,8 +33,8 @@ MIN_EXPOSURE_RANGE = 0.1
 """Stops: photographs exposed more alike than this have no slope."""
 
 Base = Literal["mean", "exposure"]
-Rest = Literal["none", "time", "place"]
-CANDIDATES: tuple[tuple[Base, Rest], ...] = (
+Interpolation = Literal["none", "time", "place"]
+CANDIDATES: tuple[tuple[Base, Interpolation], ...] = (
     ("mean", "none"),
     ("mean", "place"),
     ("mean", "time"),
@@ -52,13 +52,13 @@ class Prediction:
 
     lights: Lights
     base: Base
-    rest: Rest
+    interpolation: Interpolation
     error: float
     mean_error: float
 
     def decision(self, stage: str, num_known: int) -> Decision:
         """What was chosen, as the report lists it."""
-        by = [_WORDS[name] for name in (self.base, self.rest) if name in _WORDS]
+        by = [_WORDS[name] for name in (self.base, self.interpolation) if name in _WORDS]
         return Decision(
             stage=stage,
             topic="light of photographs held out",
@@ -70,19 +70,19 @@ class Prediction:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Known:
+class _KnownLights:
     """log_gains (V,3), ranks (V,) and log₂ exposures (V,) of the photographs predicted from."""
 
     log_gains: FloatArray
     ranks: FloatArray
     exposures: FloatArray
 
-    def select(self, rows: NDArray[np.int64]) -> _Known:
-        return _Known(log_gains=self.log_gains[rows], ranks=self.ranks[rows], exposures=self.exposures[rows])
+    def select(self, rows: NDArray[np.int64]) -> _KnownLights:
+        return _KnownLights(log_gains=self.log_gains[rows], ranks=self.ranks[rows], exposures=self.exposures[rows])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Asked:
+class _Queries:
     """ranks (K,), log₂ exposures (K,) of the photographs asked for, and shared (K,V), how much of
     each known one their cameras see."""
 
@@ -103,62 +103,64 @@ def predict_lights(lights: Lights, shots: Shots, points: Sequence[FloatArray], t
     Returns:
         Their lights, every one known, and the choice with its error.
     """
-    rows = np.flatnonzero(lights.known)
-    known = _Known(log_gains=lights.log_gains[rows], ranks=shots.ranks[rows], exposures=shots.log2_exposures[rows])
-    own = [points[int(row)] for row in rows]
-    among = _Asked(ranks=known.ranks, exposures=known.exposures, shared=_shared_places(own, shots, rows))
-    base, rest, error, mean_error = _choose(known, among)
-    asked = _Asked(ranks=targets.ranks, exposures=targets.log2_exposures, shared=_shared_places(own, targets, np.arange(len(targets))))
-    log_gains = _predict(known, asked, base, rest) if len(rows) else np.zeros((len(targets), 3))
+    rows = np.flatnonzero(lights.is_known)
+    training = _KnownLights(log_gains=lights.log_gains[rows], ranks=shots.ranks[rows], exposures=shots.log2_exposures[rows])
+    places = [points[int(row)] for row in rows]
+    among = _Queries(ranks=training.ranks, exposures=training.exposures, shared=_shared_places(places, shots, rows))
+    base, interpolation, error, mean_error = _choose(training, among)
+    queries = _Queries(
+        ranks=targets.ranks, exposures=targets.log2_exposures, shared=_shared_places(places, targets, np.arange(len(targets)))
+    )
+    log_gains = _predict(training, queries, base, interpolation) if len(rows) else np.zeros((len(targets), 3))
     camera_of, vignettings = _vignettings_of(lights, shots, targets)
-    predicted = Lights(log_gains=log_gains, camera_of=camera_of, vignettings=vignettings, known=np.ones(len(targets), bool))
-    return Prediction(lights=predicted, base=base, rest=rest, error=error, mean_error=mean_error)
+    predicted = Lights(log_gains=log_gains, camera_of=camera_of, vignettings=vignettings, is_known=np.ones(len(targets), bool))
+    return Prediction(lights=predicted, base=base, interpolation=interpolation, error=error, mean_error=mean_error)
 
 
-def _choose(known: _Known, among: _Asked) -> tuple[Base, Rest, float, float]:
+def _choose(training: _KnownLights, among: _Queries) -> tuple[Base, Interpolation, float, float]:
     """The best predictor, its error, and the error of the mean."""
-    count = len(known.ranks)
+    count = len(training.ranks)
     if count < MIN_KNOWN:
-        spread = float(np.sqrt(np.mean(known.log_gains.var(axis=0)))) if count else 0.0
+        spread = float(np.sqrt(np.mean(training.log_gains.var(axis=0)))) if count else 0.0
         return "mean", "none", spread, spread
-    order = np.argsort(known.ranks, kind="stable")
+    order = np.argsort(training.ranks, kind="stable")
     folds = min(FOLDS, count)
     errors = []
-    for base, rest in CANDIDATES:
-        left = np.zeros((count, 3))
+    for base, interpolation in CANDIDATES:
+        residuals = np.zeros((count, 3))
         for first in range(folds):
-            asked = order[first::folds]
-            others = np.setdiff1d(np.arange(count), asked)
-            part = _Asked(ranks=among.ranks[asked], exposures=among.exposures[asked], shared=among.shared[np.ix_(asked, others)])
-            left[asked] = known.log_gains[asked] - _predict(known.select(others), part, base, rest)
-        errors.append(float(np.sqrt(np.mean(left**2))))
+            fold = order[first::folds]
+            others = np.setdiff1d(np.arange(count), fold)
+            part = _Queries(ranks=among.ranks[fold], exposures=among.exposures[fold], shared=among.shared[np.ix_(fold, others)])
+            residuals[fold] = training.log_gains[fold] - _predict(training.select(others), part, base, interpolation)
+        errors.append(float(np.sqrt(np.mean(residuals**2))))
     best = int(np.argmin(errors))
     return *CANDIDATES[best], errors[best], errors[0]
 
 
-def _predict(known: _Known, asked: _Asked, base: Base, rest: Rest) -> FloatArray:
+def _predict(training: _KnownLights, queries: _Queries, base: Base, interpolation: Interpolation) -> FloatArray:
     """Log gains (K,3) of those asked for."""
-    here, there = _base(known, known.exposures, base), _base(known, asked.exposures, base)
-    left = known.log_gains - here
-    if rest == "time":
-        order = np.argsort(known.ranks, kind="stable")
-        between = [np.interp(asked.ranks, known.ranks[order], left[order, channel]) for channel in range(3)]
+    here, there = _base(training, training.exposures, base), _base(training, queries.exposures, base)
+    residuals = training.log_gains - here
+    if interpolation == "time":
+        order = np.argsort(training.ranks, kind="stable")
+        between = [np.interp(queries.ranks, training.ranks[order], residuals[order, channel]) for channel in range(3)]
         return there + np.stack(between, axis=1)
-    if rest == "place":
-        total = asked.shared.sum(axis=1, keepdims=True)
-        return there + np.where(total > 0, asked.shared @ left / np.maximum(total, 1e-12), left.mean(axis=0))
+    if interpolation == "place":
+        total = queries.shared.sum(axis=1, keepdims=True)
+        return there + np.where(total > 0, queries.shared @ residuals / np.maximum(total, 1e-12), residuals.mean(axis=0))
     return there
 
 
-def _base(known: _Known, exposures: FloatArray, base: Base) -> FloatArray:
+def _base(training: _KnownLights, exposures: FloatArray, base: Base) -> FloatArray:
     """The mean (K,3) of the known ones, or the line through them by exposure where that is
     known."""
-    mean = np.broadcast_to(known.log_gains.mean(axis=0), (len(exposures), 3))
-    exposed = np.isfinite(known.exposures)
-    x = known.exposures[exposed]
+    mean = np.broadcast_to(training.log_gains.mean(axis=0), (len(exposures), 3))
+    exposed = np.isfinite(training.exposures)
+    x = training.exposures[exposed]
     if base == "mean" or len(x) < MIN_KNOWN or np.ptp(x) < MIN_EXPOSURE_RANGE:
         return mean
-    gains = known.log_gains[exposed]
+    gains = training.log_gains[exposed]
     slope = float(((x - x.mean()) @ (gains - gains.mean(axis=0)).mean(axis=1)) / ((x - x.mean()) ** 2).sum())
     with_exposure = np.isfinite(exposures)
     line = gains.mean(axis=0) + slope * (np.where(with_exposure, exposures, x.mean()) - x.mean())[:, None]
@@ -167,9 +169,9 @@ def _base(known: _Known, exposures: FloatArray, base: Base) -> FloatArray:
 
 def _shared_places(points: Sequence[FloatArray], shots: Shots, rows: NDArray[np.int64]) -> FloatArray:
     """Share (K,V) of the points of V photographs that project into each of the cameras `rows`."""
-    counts = np.array([max(1, len(own)) for own in points], np.float64)
+    counts = np.array([max(1, len(cloud)) for cloud in points], np.float64)
     places = np.concatenate([*points, np.zeros((0, 3))])
-    owner = np.repeat(np.arange(len(points)), [len(own) for own in points])
+    owner = np.repeat(np.arange(len(points)), [len(cloud) for cloud in points])
     shared = np.zeros((len(rows), len(points)))
     for number, row in enumerate(rows):
         camera = shots.cameras.select([int(row)])

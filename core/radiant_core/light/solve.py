@@ -97,11 +97,11 @@ def observe_tracks(scene: SfmScene, views: TrainingViews) -> Observations:
     place, view = scene.observations[rows].T
     colors = np.empty((len(rows), 3))
     by_view, bounds = np.argsort(view, kind="stable"), np.cumsum(np.bincount(view, minlength=len(views)))
-    for index, own in enumerate(np.split(by_view, bounds[:-1])):
-        if not len(own):
+    for index, photo_rows in enumerate(np.split(by_view, bounds[:-1])):
+        if not len(photo_rows):
             continue
         smooth = cv2.blur(np.asarray(views.images[index], np.float32), (BLUR_PX, BLUR_PX))
-        colors[own] = smooth[pixels[own, 1], pixels[own, 0]]
+        colors[photo_rows] = smooth[pixels[photo_rows, 1], pixels[photo_rows, 0]]
     cameras = views.cameras
     sizes = cameras.sizes_wh[view].astype(np.float64)
     squared = 4 * ((pixels + 0.5 - cameras.Ks[view, :2, 2]) ** 2).sum(axis=1) / (sizes**2).sum(axis=1)
@@ -135,7 +135,7 @@ def lights_from_model(model: Splats, views: TrainingViews, backend: Backend = "a
     """The light of V photographs relative to a model: gains keep their mean, since the model's own
     light is the canonical one. Cameras are in the frame of the model."""
     cameras = views.cameras.scaled(COMPARED_PX)
-    found: list[tuple[NDArray[np.int64], FloatArray, FloatArray, NDArray[np.int64]]] = []
+    per_view: list[tuple[NDArray[np.int64], FloatArray, FloatArray, NDArray[np.int64]]] = []
     places: list[FloatArray] = []
     for index, render in enumerate(render_views(model, cameras, backend)):
         size = (int(cameras.sizes_wh[index, 0]), int(cameras.sizes_wh[index, 1]))
@@ -149,9 +149,9 @@ def lights_from_model(model: Splats, views: TrainingViews, backend: Backend = "a
             255 * render.image.reshape(-1, 3)[rows].astype(np.float64)
         )
         part = parts_of(np.column_stack([rows % size[0], rows // size[0]]), cameras.sizes_wh[index])
-        found.append((np.full(len(rows), index), squared_radii(cameras, index).ravel()[rows], logs, part))
+        per_view.append((np.full(len(rows), index), squared_radii(cameras, index).ravel()[rows], logs, part))
         places.append(_places(cameras, index, render.depth, rows[:: max(1, len(rows) // NUM_PLACES)]))
-    view, squared, logs, parts = (np.concatenate(each) for each in zip(*found, strict=True))
+    view, squared, logs, parts = (np.concatenate(column) for column in zip(*per_view, strict=True))
     lights = solve_lights(Observations(view=view, squared_radii=squared, logs=logs, part=parts), views.cameras)
     return SeenLights(lights=lights, places=tuple(places))
 
@@ -170,41 +170,41 @@ def solve_lights(observed: Observations, cameras: Cameras, num_rounds: int = NUM
     camera_of, num_cameras = cameras_alike(cameras)
     count = len(cameras)
     log_gains, vignettings = np.zeros((count, 3)), np.zeros((num_cameras, NUM_TERMS, 3))
-    known = np.ones(count, bool)
+    is_known = np.ones(count, bool)
     for channel in range(3):
         rows = _usable(observed, channel, count)
         enough = np.bincount(observed.view[rows], minlength=count) >= MIN_SHARED
-        known &= enough
+        is_known &= enough
         if not len(rows):
             continue
         solution = _solve_channel(observed, rows, channel, camera_of, num_cameras, num_rounds)
         log_gains[:, channel] = np.where(enough, solution[:count], 0.0)
         vignettings[:, :, channel] = solution[count:].reshape(num_cameras, NUM_TERMS)
-    log_gains[~known] = 0.0
-    lights = Lights(log_gains=log_gains, camera_of=camera_of, vignettings=vignettings, known=known)
+    log_gains[~is_known] = 0.0
+    lights = Lights(log_gains=log_gains, camera_of=camera_of, vignettings=vignettings, is_known=is_known)
     return lights if observed.part is None else replace(lights, evenness=_evenness(observed, lights))
 
 
 def _evenness(observed: Observations, lights: Lights) -> float:
     assert observed.part is not None
-    return evenness(lights.spread, _left(observed, lights), observed.view, observed.part)
+    return evenness(lights.spread, _residuals(observed, lights), observed.view, observed.part)
 
 
-def _left(observed: Observations, lights: Lights) -> FloatArray:
+def _residuals(observed: Observations, lights: Lights) -> FloatArray:
     """What lights leave of the mean log over channels (T,), of places less their mean; NaN where
     something is not known."""
     view = observed.view
     powers = np.stack([observed.squared_radii ** (term + 1) for term in range(NUM_TERMS)], axis=1)
     explained = lights.log_gains[view] + np.einsum("ok,okc->oc", powers, lights.vignettings[lights.camera_of[view]])
-    left = np.where(lights.known[view], (observed.logs - explained).mean(axis=1), np.nan)
-    left[~np.isfinite(left)] = np.nan
+    residuals = np.where(lights.is_known[view], (observed.logs - explained).mean(axis=1), np.nan)
+    residuals[~np.isfinite(residuals)] = np.nan
     if observed.place is None:
-        return left
-    tells = np.isfinite(left)
+        return residuals
+    tells = np.isfinite(residuals)
     size = int(observed.place.max(initial=-1)) + 1
-    counts, sums = (np.bincount(observed.place[tells], weights, size) for weights in (None, left[tells]))
+    counts, sums = (np.bincount(observed.place[tells], weights, size) for weights in (None, residuals[tells]))
     # A place that one photograph shows says nothing.
-    return np.where(counts[observed.place] > 1, left - sums[observed.place] / np.maximum(counts[observed.place], 1), np.nan)
+    return np.where(counts[observed.place] > 1, residuals - sums[observed.place] / np.maximum(counts[observed.place], 1), np.nan)
 
 
 def log_of_colors(colors: FloatArray) -> FloatArray:
@@ -222,12 +222,12 @@ def _usable(observed: Observations, channel: int, count: int) -> NDArray[np.int6
     if place is None:
         return np.flatnonzero(usable & (np.bincount(observed.view[usable], minlength=count) >= MIN_SHARED)[observed.view])
     while True:
-        seen = np.bincount(place[usable], minlength=int(place.max(initial=-1)) + 1)
-        left = usable & (seen[place] > 1)
-        left &= (np.bincount(observed.view[left], minlength=count) >= MIN_SHARED)[observed.view]
-        if left.sum() == usable.sum():
-            return np.flatnonzero(left)
-        usable = left
+        views_per_place = np.bincount(place[usable], minlength=int(place.max(initial=-1)) + 1)
+        remaining = usable & (views_per_place[place] > 1)
+        remaining &= (np.bincount(observed.view[remaining], minlength=count) >= MIN_SHARED)[observed.view]
+        if remaining.sum() == usable.sum():
+            return np.flatnonzero(remaining)
+        usable = remaining
 
 
 def _solve_channel(
@@ -281,7 +281,7 @@ class _Ratios:
         entries = [(views, views, sums[0])]
         for term, columns in enumerate(terms):
             entries += [(views, columns, sums[term + 1]), (columns, views, sums[term + 1])]
-            entries += [(columns, others, sums[term + other + 2]) for other, others in enumerate(terms)]
+            entries += [(columns, others, sums[term + second + 2]) for second, others in enumerate(terms)]
         at, to, values = (np.concatenate(part) for part in zip(*entries, strict=True))
         right = np.concatenate([rights[0], np.zeros(size - count)])
         for columns, value in zip(terms, rights[1:], strict=True):
@@ -311,8 +311,8 @@ class _Brightness:
 
     def normal(self, weights: FloatArray) -> tuple[sparse.csr_matrix, FloatArray]:
         weighted = self.design.T.multiply(weights).tocsr()
-        cross, shown = weighted @ self.of_place, np.bincount(self.place, weights)
-        means = sparse.diags(1 / np.maximum(shown, 1e-300)) @ cross.T
+        cross, place_weights = weighted @ self.of_place, np.bincount(self.place, weights)
+        means = sparse.diags(1 / np.maximum(place_weights, 1e-300)) @ cross.T
         return weighted @ self.design - cross @ means, weighted @ self.logs - cross @ self._means(self.logs, weights)
 
     def residuals(self, solution: FloatArray, weights: FloatArray) -> FloatArray:

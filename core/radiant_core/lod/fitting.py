@@ -75,9 +75,9 @@ def fit_level(
 
 def fitting_s(count: int, num_levels: int, num_chunks: int) -> float:
     """About how many processor seconds it takes to fit the coarser levels of so many Gaussians."""
-    each = count / max(num_chunks, 1)
-    steps = NUM_EPOCHS * sum(_num_views(int(each / 2**halvings)) for halvings in range(1, num_levels))
-    return num_chunks * steps * (STEP_S + STEP_S_PER_SPLAT * each)
+    splats_per_chunk = count / max(num_chunks, 1)
+    steps = NUM_EPOCHS * sum(_num_views(int(splats_per_chunk / 2**halvings)) for halvings in range(1, num_levels))
+    return num_chunks * steps * (STEP_S + STEP_S_PER_SPLAT * splats_per_chunk)
 
 
 def _num_views(count: int) -> int:

@@ -114,18 +114,18 @@ def lay_out(splats: Splats, regions: Sequence[LodRegion], limits: LodLimits) -> 
     return LodLayout(far=np.flatnonzero(number == FAR), regions=tuple(trees), num_levels=limits.levels_of(near), limits=limits)
 
 
-def chunks_of(splats: Splats, layout: LodLayout, report: Callable[[int, int], None] = lambda done, total: None) -> Iterator[Chunk]:
+def chunks_of(splats: Splats, layout: LodLayout, report: Callable[[int, int], None] = lambda num_done, total: None) -> Iterator[Chunk]:
     """The chunks of a model, one in memory at a time; `report` is called with the Gaussians done
     and all of them."""
-    done = len(layout.far)
-    report(done, len(splats))
+    num_done = len(layout.far)
+    report(num_done, len(splats))
     for region, tree in enumerate(layout.regions):
         for number, cell in enumerate(tree.leaves()):
             if len(cell.rows):
-                share_done = partial(_report_share, report, done, len(cell.rows), len(splats))
+                share_done = partial(_report_share, report, num_done, len(cell.rows), len(splats))
                 yield _chunk(splats.select(cell.rows), region, number, layout, share_done)
-                done += len(cell.rows)
-                report(done, len(splats))
+                num_done += len(cell.rows)
+                report(num_done, len(splats))
 
 
 def _report_share(report: Callable[[int, int], None], before: int, count: int, total: int, share: float) -> None:
@@ -155,7 +155,7 @@ def _chunk(splats: Splats, region: int, number: int, layout: LodLayout, report: 
         region=region,
         number=number,
         levels=levels,
-        leaves=tuple(Leaf(box=_box(levels, own), spans=own) for own in spans),
+        leaves=tuple(Leaf(box=_box(levels, leaf_spans), spans=leaf_spans) for leaf_spans in spans),
         tree=_numbered(tree, iter(range(len(counts)))),
     )
 
@@ -175,7 +175,7 @@ def _thinned(splats: Splats, leaf: NDArray[np.int64], num_levels: int) -> tuple[
     levels, num_leaves = [_by_leaf(splats, leaf)], int(leaf.max()) + 1
     for _ in range(num_levels - 1):
         levels.append(_by_leaf(*halve_within(*levels[-1])))
-    return tuple(level for level, _ in levels), np.stack([np.bincount(own, minlength=num_leaves) for _, own in levels], axis=1)
+    return tuple(level for level, _ in levels), np.stack([np.bincount(leaves, minlength=num_leaves) for _, leaves in levels], axis=1)
 
 
 def _by_leaf(splats: Splats, leaf: NDArray[np.int64]) -> tuple[Splats, NDArray[np.int64]]:
@@ -186,8 +186,8 @@ def _by_leaf(splats: Splats, leaf: NDArray[np.int64]) -> tuple[Splats, NDArray[n
 
 
 def _box(levels: Sequence[Splats], spans: NDArray[np.int64]) -> FloatArray:
-    own = [level.select(np.arange(start, start + count)) for level, (start, count) in zip(levels, spans, strict=True)]
-    boxes = np.stack([ellipsoid_box(level.means.astype(np.float64), covariances(level), DEVIATIONS) for level in own])
+    parts = [level.select(np.arange(start, start + count)) for level, (start, count) in zip(levels, spans, strict=True)]
+    boxes = np.stack([ellipsoid_box(level.means.astype(np.float64), covariances(level), DEVIATIONS) for level in parts])
     return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 

@@ -75,9 +75,9 @@ def halve_within(splats: Splats, cells: NDArray[np.int64]) -> tuple[Splats, NDAr
     scene's rim, keeps more of them."""
     cells = check_array("cells", cells, (len(splats),), np.int64)
     groups = group_neighbours(splats, -(-len(splats) // 2), cells)
-    own = np.zeros(int(groups.max(initial=-1)) + 1, np.int64)
-    own[groups] = cells
-    return merge_groups(splats, groups), own
+    group_cells = np.zeros(int(groups.max(initial=-1)) + 1, np.int64)
+    group_cells[groups] = cells
+    return merge_groups(splats, groups), group_cells
 
 
 def merge_groups(splats: Splats, groups: NDArray[np.int64]) -> Splats:
@@ -111,15 +111,15 @@ def group_neighbours(splats: Splats, target: int, cells: NDArray[np.int64] | Non
     if count <= max(target, 1):
         return np.arange(count)
     growing = _start(splats, np.zeros(count, np.int64) if cells is None else cells)
-    left = count
+    remaining = count
     for _ in range(MAX_ROUNDS):
         pairs = _cheapest_pairs(growing)
         wanted = max(int(SHARE_PER_ROUND * len(pairs)), min(len(pairs), 16))
-        pairs = pairs[: min(wanted, left - target)]
+        pairs = pairs[: min(wanted, remaining - target)]
         if not len(pairs):
             break
         _join(growing, pairs)
-        left -= len(pairs)
+        remaining -= len(pairs)
     return np.unique(growing.group, return_inverse=True)[1].ravel()
 
 
@@ -225,10 +225,10 @@ def _cheapest_pairs(growing: _Growing) -> NDArray[np.int64]:
     mutual = mutual[np.argsort(growing.costs[mutual], kind="stable")]
     pairs = growing.edges[mutual]
     # Where costs are equal a group may be in several pairs: the first one is kept.
-    seen = np.full(len(growing.group), len(pairs))
-    np.minimum.at(seen, pairs.ravel(), np.repeat(np.arange(len(pairs)), 2))
-    own = np.arange(len(pairs))
-    return pairs[(seen[pairs[:, 0]] == own) & (seen[pairs[:, 1]] == own)]
+    cheapest = np.full(len(growing.group), len(pairs))
+    np.minimum.at(cheapest, pairs.ravel(), np.repeat(np.arange(len(pairs)), 2))
+    numbers = np.arange(len(pairs))
+    return pairs[(cheapest[pairs[:, 0]] == numbers) & (cheapest[pairs[:, 1]] == numbers)]
 
 
 def _join(growing: _Growing, pairs: NDArray[np.int64]) -> None:
@@ -248,5 +248,5 @@ def _join(growing: _Growing, pairs: NDArray[np.int64]) -> None:
     moved = touched[growing.edges].any(axis=1)
     edges = np.sort(into[growing.edges], axis=1)
     growing.costs[moved] = _costs(growing, edges[moved])
-    kept = edges[:, 0] != edges[:, 1]
-    growing.edges, growing.costs = edges[kept], growing.costs[kept]
+    between_groups = edges[:, 0] != edges[:, 1]
+    growing.edges, growing.costs = edges[between_groups], growing.costs[between_groups]

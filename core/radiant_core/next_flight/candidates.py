@@ -71,9 +71,9 @@ class Air:
 
     def floors_at(self, places: FloatArray) -> FloatArray:
         """Lowest safe heights (P,) at places (P,2 or 3), above the raster's cells and beyond."""
-        found = np.floor(self.facets.surface.grid.cells_of(places[:, :2])).astype(np.int64)
-        inside = np.asarray(((found >= 0) & (found < self.floor.shape)).all(axis=1))
-        there = np.where(inside[:, None], found, 0)
+        cells = np.floor(self.facets.surface.grid.cells_of(places[:, :2])).astype(np.int64)
+        inside = np.asarray(((cells >= 0) & (cells < self.floor.shape)).all(axis=1))
+        there = np.where(inside[:, None], cells, 0)
         return np.where(inside, self.floor[there[:, 0], there[:, 1]], self.facets.highest + self.rules.safe)
 
     def is_safe(self, places: FloatArray) -> NDArray[np.bool_]:

@@ -53,10 +53,10 @@ def capture_faults(scene: SfmScene, depth: float, images: Sequence[NDArray[np.ui
     any size, for their exposure."""
     if len(scene.cameras) < 2:
         return ()
-    found = [*_of_places(scene, depth), *_of_looks(scene), *_of_overlap(scene)]
+    faults = [*_of_places(scene, depth), *_of_looks(scene), *_of_overlap(scene)]
     if images is not None:
-        found += _of_exposure(scene, images)
-    return tuple(found)
+        faults += _of_exposure(scene, images)
+    return tuple(faults)
 
 
 def _of_places(scene: SfmScene, depth: float) -> list[CaptureFault]:
@@ -101,8 +101,8 @@ def _shared_points(scene: SfmScene) -> NDArray[np.int64] | None:
     if not len(scene.observations):
         return None
     point, camera = scene.observations.T
-    seen = coo_array((np.ones(len(point), np.int64), (camera, point)), shape=(len(scene.cameras), len(scene.points))).tocsr()
-    shared = np.asarray((seen @ seen.T).todense())
+    visibility = coo_array((np.ones(len(point), np.int64), (camera, point)), shape=(len(scene.cameras), len(scene.points))).tocsr()
+    shared = np.asarray((visibility @ visibility.T).todense())
     np.fill_diagonal(shared, 0)
     return shared
 

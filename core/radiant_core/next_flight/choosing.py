@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from radiant_core.geometry.support import MIN_PARALLAX_DEG, MIN_VIEWS
 from radiant_core.next_flight.facets import Facets
-from radiant_core.next_flight.sightings import Known, Sighting, log_det
+from radiant_core.next_flight.sightings import Knowledge, Sighting, log_det
 from radiant_core.numerics import FloatArray
 
 Mask = NDArray[np.bool_]
@@ -54,10 +54,10 @@ class Chosen:
             (self.from_weak, f"{self.weak_area:.0f} {unit}² of fewer than {MIN_VIEWS} views or {MIN_PARALLAX_DEG:g}° parallax"),
             (self.from_finer, "surface known already, from another side or finer"),
         ]
-        said = [f"{100 * share:.0f} %: {what}" for share, what in sorted(parts, key=lambda part: -part[0]) if share >= LEAST_SHARE]
+        phrases = [f"{100 * share:.0f} %: {label}" for share, label in sorted(parts, key=lambda part: -part[0]) if share >= LEAST_SHARE]
         needed = self.from_unseen + self.from_weak >= LEAST_SHARE
         on_walls = f"; {100 * self.walls:.0f} % of the unseen or weak surface is walls" if needed else ""
-        return f"gain {self.gain:.0f}, {', '.join(said)}{on_walls}"
+        return f"gain {self.gain:.0f}, {', '.join(phrases)}{on_walls}"
 
 
 def gain_of(information: FloatArray, areas: FloatArray, sighting: Sighting) -> FloatArray:
@@ -67,12 +67,16 @@ def gain_of(information: FloatArray, areas: FloatArray, sighting: Sighting) -> F
 
 
 def choose_views(
-    facets: Facets, known: Known, sightings: Sequence[Sighting], count: int, report: Callable[[int, int], None] = lambda done, total: None
+    facets: Facets,
+    knowledge: Knowledge,
+    sightings: Sequence[Sighting],
+    count: int,
+    report: Callable[[int, int], None] = lambda num_done, total: None,
 ) -> tuple[Chosen, ...]:
     """At most `count` of the candidates that would see `sightings`, each once, best first; fewer
     where no other adds anything."""
-    information = known.information.copy()
-    views, parallax_known = known.num_views.copy(), ~known.weak
+    information = knowledge.information.copy()
+    views, parallax_known = knowledge.num_views.copy(), ~knowledge.weak
     heap = [(-float(gain_of(information, facets.areas, sighting).sum()), row, 0) for row, sighting in enumerate(sightings)]
     heapq.heapify(heap)
     chosen: list[Chosen] = []

@@ -61,32 +61,32 @@ class Facets:
         climb = np.where(rise > 0, (self.highest - start[:, 2]) / np.maximum(rise, 1e-12), np.inf)
         ends = np.floor(np.minimum(level, climb) / cell)
         step = np.column_stack([ahead[:, :2] / level[:, None], rise]) * cell
-        seen, going = np.ones(len(rows), bool), np.flatnonzero(ends >= 1)
+        visible, going = np.ones(len(rows), bool), np.flatnonzero(ends >= 1)
         at = start.copy()
         for number in range(1, int(ends.max(initial=0)) + 1):
             going = going[ends[going] >= number]
             at[going] += step[going]
-            found = np.floor(self.surface.grid.cells_of(at[going, :2])).astype(np.int64)
-            inside = np.asarray(((found >= 0) & (found < heights.shape)).all(axis=1))
-            there = np.where(inside[:, None], found, 0)
+            cells = np.floor(self.surface.grid.cells_of(at[going, :2])).astype(np.int64)
+            inside = np.asarray(((cells >= 0) & (cells < heights.shape)).all(axis=1))
+            there = np.where(inside[:, None], cells, 0)
             # NaN, where nothing is known, compares as false.
             is_hit = inside & (heights[there[:, 0], there[:, 1]] > at[going, 2] + TOLERANCE_CELLS * cell)
-            seen[going[is_hit]] = False
+            visible[going[is_hit]] = False
             going = going[~is_hit]
             if not len(going):
                 break
-        return seen
+        return visible
 
 
 def facets_of(surface: HeightMap) -> Facets:
     """The facets of all known cells, their heights smoothed by the median of 3 × 3 cells; BadInput
     where none is known."""
-    known = surface.source != UNKNOWN
-    if not known.any():
+    is_known = surface.source != UNKNOWN
+    if not is_known.any():
         raise BadInput("no height of the surface is known, so it has no facets: train the model further.")
-    smooth = _median(surface.heights, known)
+    smooth = _median(surface.heights, is_known)
     surface = HeightMap(grid=surface.grid, heights=smooth, sigma=surface.sigma, source=surface.source)
-    parts = [_tops(surface, known), *(_walls(surface, known, axis) for axis in (0, 1))]
+    parts = [_tops(surface, is_known), *(_walls(surface, is_known, axis) for axis in (0, 1))]
     places, normals, areas = (np.concatenate([part[index] for part in parts]).astype(np.float64) for index in range(3))
     cells = np.concatenate([part[3] for part in parts])
     is_wall = np.arange(len(places)) >= len(parts[0][0])
@@ -96,20 +96,20 @@ def facets_of(surface: HeightMap) -> Facets:
 _Part = tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]
 
 
-def _median(heights: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
+def _median(heights: FloatArray, is_known: NDArray[np.bool_]) -> FloatArray:
     """The median of each 3 × 3 cells; what is not known stays so, and takes part as its own cell's
     mean of the known ones."""
     level = float(np.nanmedian(heights))
-    filled = np.where(known, heights - level, 0.0).astype(np.float32)
-    weights = cv2.blur(known.astype(np.float32), (3, 3))
+    filled = np.where(is_known, heights - level, 0.0).astype(np.float32)
+    weights = cv2.blur(is_known.astype(np.float32), (3, 3))
     around = cv2.blur(filled, (3, 3)) / np.maximum(weights, 1e-6)
-    middle = cv2.medianBlur(np.where(known, filled, around).astype(np.float32), 3)
-    return np.where(known, middle.astype(np.float64) + level, np.nan)
+    middle = cv2.medianBlur(np.where(is_known, filled, around).astype(np.float32), 3)
+    return np.where(is_known, middle.astype(np.float64) + level, np.nan)
 
 
-def _tops(surface: HeightMap, known: NDArray[np.bool_]) -> _Part:
+def _tops(surface: HeightMap, is_known: NDArray[np.bool_]) -> _Part:
     east, north = surface.grid.centers()
-    rows, columns = np.nonzero(known)
+    rows, columns = np.nonzero(is_known)
     # Rows run south: the slope northwards is against them.
     slopes = [_slope(surface.heights, 1)[rows, columns], -_slope(surface.heights, 0)[rows, columns]]
     normals = np.column_stack([-slopes[0], -slopes[1], np.full(len(rows), surface.grid.cell)])
@@ -132,12 +132,12 @@ def _slope(heights: FloatArray, axis: int) -> FloatArray:
     return np.where(before * after > 0, smaller, 0.0)
 
 
-def _walls(surface: HeightMap, known: NDArray[np.bool_], axis: int) -> _Part:
+def _walls(surface: HeightMap, is_known: NDArray[np.bool_], axis: int) -> _Part:
     """The walls between each cell and the next one along an axis: 0 southwards, 1 eastwards."""
     cell, grid, heights = surface.grid.cell, surface.grid, surface.heights
     first = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
     second = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
-    rise = np.where(known[first] & known[second], heights[second] - heights[first], 0.0)
+    rise = np.where(is_known[first] & is_known[second], heights[second] - heights[first], 0.0)
     rows, columns = np.nonzero(np.abs(rise) > STEP_CELLS * cell)
     steps = rise[rows, columns]
     counts = np.maximum(1, np.rint(np.abs(steps) / cell).astype(np.int64))

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from radiant_core.geometry.support import Support
 from radiant_core.next_flight.facets import Facets
-from radiant_core.next_flight.sightings import Known
+from radiant_core.next_flight.sightings import Knowledge
 from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 from radiant_core.survey.geojson import coordinates_of
@@ -35,7 +35,7 @@ BANDS = (
     "area of walls",
     "area of walls that no photograph shows",
 )
-KNOWN, WEAK, HOLE = 1, 2, 3
+WELL_KNOWN, WEAK, HOLE = 1, 2, 3
 CLASSES = (6,)
 
 
@@ -45,7 +45,7 @@ class KnownMap:
     exceed, NaN where it is not; support (H,W), NaN where the model has nothing."""
 
     facets: Facets
-    known: Known
+    knowledge: Knowledge
     support: FloatArray
     error_db: FloatArray
     margin_db: float | None
@@ -53,7 +53,7 @@ class KnownMap:
     @property
     def kinds(self) -> NDArray[np.int64]:
         """Known, weak or hole (K,)."""
-        return np.where(self.known.unseen, HOLE, np.where(self.known.weak, WEAK, KNOWN))
+        return np.where(self.knowledge.unseen, HOLE, np.where(self.knowledge.weak, WEAK, WELL_KNOWN))
 
     def area_of(self, kind: int, *, walls: bool) -> float:
         """Area of the walls, or of the tops, of one kind."""
@@ -65,14 +65,14 @@ class KnownMap:
         tops = ~self.facets.is_wall
         rows, columns = self.facets.cells[tops].T
         low_db = self.error_db - (np.nan if self.margin_db is None else self.margin_db)
-        per_facet = (self.known.num_views, self.known.parallax_deg, self.known.gsd, None, self.error_db, low_db, self.kinds)
+        per_facet = (self.knowledge.num_views, self.knowledge.parallax_deg, self.knowledge.gsd, None, self.error_db, low_db, self.kinds)
         layers = np.full((*shape, len(BANDS)), np.nan)
         for band, values in enumerate(per_facet):
             if values is not None:
                 layers[rows, columns, band] = np.where(np.isfinite(values[tops]), values[tops], np.nan)
         layers[..., 3] = self.support
         walls = self.facets.is_wall
-        for band, chosen in ((7, walls), (8, walls & self.known.unseen)):
+        for band, chosen in ((7, walls), (8, walls & self.knowledge.unseen)):
             area = np.zeros(shape)
             np.add.at(area, tuple(self.facets.cells[chosen].T), self.facets.areas[chosen])
             layers[rows, columns, band] = area[rows, columns]
@@ -94,19 +94,19 @@ def support_raster(facets: Facets, map_frame: MapFrame, splats: Splats, support:
     return np.where(total > 0, fixed / np.maximum(total, 1e-300), np.nan)
 
 
-def weak_features(found: KnownMap, map_frame: MapFrame) -> list[dict[str, Any]]:
+def weak_features(known_map: KnownMap, map_frame: MapFrame) -> list[dict[str, Any]]:
     """Holes and weak ground as polygons, holes in walls as lines with their heights; GeoJSON's
     features, the largest first."""
     features: list[dict[str, Any]] = []
     for kind, name in ((HOLE, "hole"), (WEAK, "weak")):
-        features += _ground_features(found, map_frame, kind, name)
-        features += _wall_features(found, map_frame, kind, name)
+        features += _ground_features(known_map, map_frame, kind, name)
+        features += _wall_features(known_map, map_frame, kind, name)
     return sorted(features, key=lambda feature: -feature["properties"]["area"])
 
 
-def _ground_features(found: KnownMap, map_frame: MapFrame, kind: int, name: str) -> list[dict[str, Any]]:
-    facets, half = found.facets, found.facets.surface.grid.cell / 2
-    chosen = (found.kinds == kind) & ~facets.is_wall
+def _ground_features(known_map: KnownMap, map_frame: MapFrame, kind: int, name: str) -> list[dict[str, Any]]:
+    facets, half = known_map.facets, known_map.facets.surface.grid.cell / 2
+    chosen = (known_map.kinds == kind) & ~facets.is_wall
     x, y = facets.places[chosen, 0], facets.places[chosen, 1]
     land = shapely.union_all(shapely.box(x - half, y - half, x + half, y + half), grid_size=half / 1e4)
     parts = [part for part in shapely.get_parts(land) if isinstance(part, shapely.Polygon) and not part.is_empty]
@@ -118,10 +118,10 @@ def _ground_features(found: KnownMap, map_frame: MapFrame, kind: int, name: str)
     return features
 
 
-def _wall_features(found: KnownMap, map_frame: MapFrame, kind: int, name: str) -> list[dict[str, Any]]:
+def _wall_features(known_map: KnownMap, map_frame: MapFrame, kind: int, name: str) -> list[dict[str, Any]]:
     """The walls that stand on edges of cells that touch, as one feature each."""
-    facets, half = found.facets, found.facets.surface.grid.cell / 2
-    rows = np.flatnonzero((found.kinds == kind) & facets.is_wall)
+    facets, half = known_map.facets, known_map.facets.surface.grid.cell / 2
+    rows = np.flatnonzero((known_map.kinds == kind) & facets.is_wall)
     if not len(rows):
         return []
     # Along the wall: across its normal.
@@ -133,12 +133,12 @@ def _wall_features(found: KnownMap, map_frame: MapFrame, kind: int, name: str) -
     owner = connected_components(graph, directed=False)[1][first]
     features = []
     for number in np.unique(owner):
-        own = np.flatnonzero(owner == number)
-        edges = np.unique(np.sort(np.column_stack([first[own], second[own]]), axis=1), axis=0)
+        members = np.flatnonzero(owner == number)
+        edges = np.unique(np.sort(np.column_stack([first[members], second[members]]), axis=1), axis=0)
         lines = shapely.line_merge(shapely.MultiLineString(list(corners[edges] * half)))
         parts = [coordinates_of(map_frame, np.array(part.coords)) for part in shapely.get_parts(lines)]
-        heights = facets.places[rows[own], 2]
-        about = {"kind": name, "on": "wall", "area": round(float(facets.areas[rows[own]].sum()), 3)}
+        heights = facets.places[rows[members], 2]
+        about = {"kind": name, "on": "wall", "area": round(float(facets.areas[rows[members]].sum()), 3)}
         span = {"lowest": round(float(heights.min() - half), 3), "highest": round(float(heights.max() + half), 3)}
         features.append(_feature({"type": "MultiLineString", "coordinates": parts}, {**about, **span}))
     return features

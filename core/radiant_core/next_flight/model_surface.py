@@ -28,7 +28,7 @@ class MapView:
     map_frame: MapFrame
     long_side_px: int
     keeps: Callable[[FloatArray], NDArray[np.bool_]] = lambda points: np.ones(len(points), bool)
-    report: Callable[[int, int], None] = lambda done, total: None
+    report: Callable[[int, int], None] = lambda num_done, total: None
 
 
 def facets_of_model(splats: Splats, scene: SfmScene, ground: SeenGround, grid: MapGrid, view: MapView) -> Facets:
@@ -45,6 +45,6 @@ def facets_of_model(splats: Splats, scene: SfmScene, ground: SeenGround, grid: M
     gsd = ground.gsd * max(1.0, widest / view.long_side_px)
     inside = ground.mask(grid)
     surface = filled(height_map(np.concatenate(parts), grid, gsd, RENDERING), inside, reach_cells=max(grid.shape))
-    known = inside | (surface.source == MEASURED)
-    heights, source = np.where(known, surface.heights, np.nan), np.where(known, surface.source, UNKNOWN).astype(np.uint8)
+    usable = inside | (surface.source == MEASURED)
+    heights, source = np.where(usable, surface.heights, np.nan), np.where(usable, surface.source, UNKNOWN).astype(np.uint8)
     return facets_of(HeightMap(grid=grid, heights=heights, sigma=surface.sigma, source=source))

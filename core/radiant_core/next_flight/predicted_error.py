@@ -152,8 +152,8 @@ def fit_errors(samples: ErrorSamples) -> ErrorModel:
     predicted = np.full(len(samples), np.nan)
     for fold in range(int(folds.max()) + 1):
         others = _fit(samples.select(folds != fold))
-        own = samples.select(folds == fold)
-        predicted[folds == fold] = others.predict(own.train_db, own.score)
+        fold_samples = samples.select(folds == fold)
+        predicted[folds == fold] = others.predict(fold_samples.train_db, fold_samples.score)
     excess = samples.held_db - predicted
     return ErrorModel(
         middle_db=model.middle_db,
@@ -178,11 +178,11 @@ def _good_share(excess: FloatArray, folds: NDArray[np.int64]) -> float:
 
 def _fit(samples: ErrorSamples) -> ErrorModel:
     middle_db = float(samples.held_db.mean())
-    left = samples.held_db - middle_db
+    residuals = samples.held_db - middle_db
     by_training, by_score = Rising(at=np.zeros(1), values=np.zeros(1)), Rising(at=np.zeros(1), values=np.zeros(1))
     for _ in range(NUM_ROUNDS):
-        by_training = _closest_rising(samples.train_db, left - by_score(samples.score))
-        by_score = _closest_rising(samples.score, left - by_training(samples.train_db))
+        by_training = _closest_rising(samples.train_db, residuals - by_score(samples.score))
+        by_score = _closest_rising(samples.score, residuals - by_training(samples.train_db))
     return ErrorModel(
         middle_db=middle_db,
         by_training=by_training,
@@ -196,5 +196,5 @@ def _closest_rising(at: FloatArray, values: FloatArray) -> Rising:
     """The rising function closest to values (M,) at places (M,), of mean 0."""
     places, owner = np.unique(at, return_inverse=True)
     counts = np.bincount(owner)
-    found = np.asarray(isotonic_regression(np.bincount(owner, weights=values) / counts, weights=counts).x)
-    return Rising(at=places, values=found - np.average(found, weights=counts))
+    fitted = np.asarray(isotonic_regression(np.bincount(owner, weights=values) / counts, weights=counts).x)
+    return Rising(at=places, values=fitted - np.average(fitted, weights=counts))

@@ -49,7 +49,7 @@ class Sighting:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Known:
+class Knowledge:
     """Of K facets: num_views (K,), parallax_deg (K,), gsd (K,) the finest, infinite where none sees
     it, information (K,6) of J."""
 
@@ -96,27 +96,27 @@ class Sights:
         facing = (toward * self.facets.normals[rows]).sum(axis=1)
         is_faced = facing > MIN_FACING
         rows, toward, facing = rows[is_faced], toward[is_faced], facing[is_faced]
-        seen = self.facets.seen_from(eye, rows)
-        rows = rows[seen]
+        visible = self.facets.seen_from(eye, rows)
+        rows = rows[visible]
         pixels = (projection[:2, :3] @ self._world[:, rows] + projection[:2, 3:]) / depths[rows]
         return Sighting(
             rows=rows,
             pixels=pixels.T.astype(np.float32),
             gsd=(depths[rows] / K[0, 0]).astype(np.float32),
-            toward=toward[seen].astype(np.float32),
-            facing=facing[seen].astype(np.float32),
+            toward=toward[visible].astype(np.float32),
+            facing=facing[visible].astype(np.float32),
         )
 
-    def all_of(self, cameras: Cameras, report: Callable[[int, int], None] = lambda done, total: None) -> tuple[Sighting, ...]:
+    def all_of(self, cameras: Cameras, report: Callable[[int, int], None] = lambda num_done, total: None) -> tuple[Sighting, ...]:
         """What each camera sees; `report` hears how many are done."""
-        found: list[Sighting] = []
+        sightings: list[Sighting] = []
         for index in range(len(cameras)):
-            found.append(self.sighting(cameras, index))
+            sightings.append(self.sighting(cameras, index))
             report(index + 1, len(cameras))
-        return tuple(found)
+        return tuple(sightings)
 
 
-def known_by(sights: Sights, cameras: Cameras, sightings: Sequence[Sighting]) -> Known:
+def known_by(sights: Sights, cameras: Cameras, sightings: Sequence[Sighting]) -> Knowledge:
     """What is known of each facet by cameras that saw `sightings`, one each."""
     facets = sights.facets
     count = len(facets)
@@ -127,7 +127,7 @@ def known_by(sights: Sights, cameras: Cameras, sightings: Sequence[Sighting]) ->
         information[sighting.rows] += sighting.information()
     centers = sights.map_frame.from_world(cameras.centers)
     parallax_deg = largest_angles_deg(facets.places, centers, [sighting.rows for sighting in sightings])
-    return Known(num_views=num_views, parallax_deg=parallax_deg, gsd=gsd, information=information)
+    return Knowledge(num_views=num_views, parallax_deg=parallax_deg, gsd=gsd, information=information)
 
 
 def prior(count: int, cell: float) -> FloatArray:

@@ -38,11 +38,11 @@ def shortest_order(places: FloatArray) -> NDArray[np.int64]:
 
 
 def _by_nearest(far: FloatArray, start: int) -> NDArray[np.int64]:
-    order, left = [start], np.ones(len(far), bool)
-    left[start] = False
-    while left.any():
-        order.append(int(np.where(left, far[order[-1]], np.inf).argmin()))
-        left[order[-1]] = False
+    order, unvisited = [start], np.ones(len(far), bool)
+    unvisited[start] = False
+    while unvisited.any():
+        order.append(int(np.where(unvisited, far[order[-1]], np.inf).argmin()))
+        unvisited[order[-1]] = False
     return np.array(order, np.int64)
 
 

@@ -68,22 +68,22 @@ class HeightLimits:
         """Why heights (P,), NaN where there is none, are not flown unasked, a whole sentence."""
         low = heights_m <= 0 if self.lowest_m is None else heights_m < self.lowest_m
         high = heights_m > self.highest_m
-        for beyond, asked in ((low, "--min-height"), (high, "--max-height")):
+        for beyond, option in ((low, "--min-height"), (high, "--max-height")):
             rows = np.flatnonzero(beyond)
             if not len(rows):
                 continue
             first = int(rows[0])
-            worst_m = float(heights_m[rows].min() if asked == "--min-height" else heights_m[rows].max())
-            rounded = math.floor(worst_m) if asked == "--min-height" else math.ceil(worst_m)
+            worst_m = float(heights_m[rows].min() if option == "--min-height" else heights_m[rows].max())
+            rounded = math.floor(worst_m) if option == "--min-height" else math.ceil(worst_m)
             return (
-                f"{len(rows)} of {len(names)} heights are {self._side(asked)}, {names[first]!r} first with {heights_m[first]:g} m, and "
-                f"are not flown unasked (are they feet, or from the sea?): give {asked} {rounded} where that may be flown, --ground with "
+                f"{len(rows)} of {len(names)} heights are {self._side(option)}, {names[first]!r} first with {heights_m[first]:g} m, and "
+                f"are not flown unasked (are they feet, or from the sea?): give {option} {rounded} where that may be flown, --ground with "
                 "the ground's altitude where they count from the sea, or --height with one for all."
             )
         return None
 
-    def _side(self, asked: str) -> str:
-        if asked == "--max-height":
+    def _side(self, option: str) -> str:
+        if option == "--max-height":
             return f"more than {self.highest_m:g} m above take-off or ground"
         return "not above take-off or ground" if self.lowest_m is None else f"below {self.lowest_m:g} m"
 
@@ -95,8 +95,8 @@ def said_heights(heights_m: FloatArray, codes: HeightCodes) -> str:
         rows = codes == code
         if not rows.any():
             continue
-        whose = f" ({int(rows.sum())} waypoints)" if not rows.all() else ""
-        parts.append(f"{'' if kind == 'unknown' else _range(heights_m[rows])}{ABOVE[kind]}{whose}")
+        count_text = f" ({int(rows.sum())} waypoints)" if not rows.all() else ""
+        parts.append(f"{'' if kind == 'unknown' else _range(heights_m[rows])}{ABOVE[kind]}{count_text}")
     return ", ".join(parts)
 
 

@@ -34,13 +34,13 @@ def camera_looks(scene: SfmScene) -> FloatArray:
     stands = np.ascontiguousarray(scene.cameras.centers[:, :2])
     point, camera = scene.observations.T
     counts = np.bincount(camera, minlength=len(stands))
-    seen = counts > 0
+    is_seen = counts > 0
     first, looks = np.cumsum(counts) - counts, stands.copy()
     for axis in (0, 1):
         values = scene.points[point, axis]
         values = values[np.lexsort((values, camera))]
-        low, high = (values[(first + offset)[seen]] for offset in ((counts - 1) // 2, counts // 2))
-        looks[seen, axis] = low / 2 + high / 2
+        low, high = (values[(first + offset)[is_seen]] for offset in ((counts - 1) // 2, counts // 2))
+        looks[is_seen, axis] = low / 2 + high / 2
     beyond = np.abs(looks).max(axis=1, initial=0) > MAX_COORDINATE_M
     looks[beyond] = stands[beyond]
     return looks

@@ -191,52 +191,52 @@ def clean_waypoints(
         positions[missing, 2] = 0.0
         some = f"{_count(len(missing), len(names))} without altitude, {_label(names, missing[0])} first: the lists hold no height for them."
         warnings.append(some if len(missing) < len(names) else f"None of {len(names)} waypoints has an altitude: {NO_ALTITUDES}.")
-    given = any(names)
+    has_names = any(names)
     names, numbered = _unique_names(names)
-    if numbered and given:
+    if numbered and has_names:
         warnings.append(f"{numbered[0]} of {len(names)} names are empty or come twice, {numbered[1]!r} first: they were numbered.")
     waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions, heading_pitch_deg=heading_pitch_deg, counts_from=counts_from)
-    kept, again = _first_of_each_spot(positions)
+    first_rows, again = _first_of_each_spot(positions)
     if len(again):
         warnings.append(f"{_count(len(again), len(names))} at a position that came before, {_label(names, again[0])} first: planned once.")
-        waypoints = waypoints.select(kept)
+        waypoints = waypoints.select(first_rows)
     return waypoints, tuple(warnings)
 
 
 def _one_kind(codes: HeightCodes, count: int) -> HeightFrom | HeightCodes:
     """Codes (P,), or their kind where it is one."""
-    own: HeightCodes = codes.copy()
-    if own.shape != (count,) or own.dtype != np.uint8 or int(own.max()) >= len(HEIGHT_KINDS):
+    fixed: HeightCodes = codes.copy()
+    if fixed.shape != (count,) or fixed.dtype != np.uint8 or int(fixed.max()) >= len(HEIGHT_KINDS):
         raise BadInput(
-            f"counts_from has shape {own.shape} and type {own.dtype}, expected a kind, or the code of each of {count} waypoints."
+            f"counts_from has shape {fixed.shape} and type {fixed.dtype}, expected a kind, or the code of each of {count} waypoints."
         )
-    if (own == own[0]).all():
-        return HEIGHT_KINDS[int(own[0])]
-    own.flags.writeable = False
-    return own
+    if (fixed == fixed[0]).all():
+        return HEIGHT_KINDS[int(fixed[0])]
+    fixed.flags.writeable = False
+    return fixed
 
 
 def _unique_names(names: Sequence[str]) -> tuple[list[str], tuple[int, str] | None]:
     """Names (P) with a number behind those that came before; how many these are, and the first of
     them. Linear in P."""
-    taken = set(names)
-    if len(taken) == len(names) and "" not in taken:
+    used_names = set(names)
+    if len(used_names) == len(names) and "" not in used_names:
         return list(names), None
-    seen: set[str] = set()
+    visited: set[str] = set()
     next_number: dict[str, int] = {}
     unique: list[str] = []
     changed, first = 0, ""
     for name in names:
         new = name
-        if not name or name in seen:
+        if not name or name in visited:
             stem = name or "wp"
             number = next_number.get(stem, 1 if not name else 2)
-            while (new := f"{stem}-{number}") in taken:
+            while (new := f"{stem}-{number}") in used_names:
                 number += 1
             next_number[stem] = number + 1
-            taken.add(new)
+            used_names.add(new)
             changed, first = changed + 1, first if changed else name
-        seen.add(new)
+        visited.add(new)
         unique.append(new)
     return unique, (changed, first) if changed else None
 
@@ -245,9 +245,9 @@ def _first_of_each_spot(positions: FloatArray) -> tuple[NDArray[np.int64], NDArr
     """Indices of the first waypoint at each position in order, and of all others."""
     rounded = np.round(positions * SAME_SPOT_SCALE).T
     order = np.lexsort(rounded)  # stable: equal positions stay in the order of the list
-    same = (np.diff(rounded[:, order], axis=1) == 0).all(axis=0)
+    repeats = (np.diff(rounded[:, order], axis=1) == 0).all(axis=0)
     is_first = np.ones(len(positions), dtype=bool)
-    is_first[order[1:][same]] = False
+    is_first[order[1:][repeats]] = False
     return np.flatnonzero(is_first), np.flatnonzero(~is_first)
 
 
@@ -255,8 +255,8 @@ def _require_names(names: tuple[str, ...]) -> None:
     if not all(names):
         raise BadInput(f"waypoint number {names.index('') + 1} has no name: give every waypoint one.")
     if len(set(names)) != len(names):
-        seen: set[str] = set()
-        twice = next(name for name in names if name in seen or seen.add(name))
+        visited: set[str] = set()
+        twice = next(name for name in names if name in visited or visited.add(name))
         raise BadInput(f"the waypoint name {twice!r} comes twice: give every waypoint its own.")
     longest = max(names, key=len)
     if len(longest) > MAX_NAME_CHARACTERS:

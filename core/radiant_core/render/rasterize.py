@@ -106,9 +106,9 @@ def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions
     tensors = {**splats.tensors(), "viewmats": viewmats, "Ks": Ks, "background": view.background}
     for name, tensor in tensors.items():
         _check_type(name, tensor, shapes[name])
-    found = first_not_finite(tensors)
-    if found is not None:
-        name, count, first = found
+    fault = first_not_finite(tensors)
+    if fault is not None:
+        name, count, first = fault
         raise BadInput(f"{name} has {count} values that are not finite, the first at index {first}: remove them first.")
     if not 0 <= view.sh_degree <= 3 or SH_BASES[view.sh_degree] > bases + 1:
         raise BadInput(f"sh_degree is {view.sh_degree} but shN has {bases} bases: use a degree these bases can hold.")

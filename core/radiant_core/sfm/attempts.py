@@ -59,22 +59,22 @@ def find_poses(photos: PhotographSet, work_folder: Path, config: SfmConfig, repo
     """The attempt that places most photographs; its `mapped` is there. Raises BadInput where none
     places any."""
     attempt = _attempt(photos, work_folder, config, report)
-    left = 1 - attempt.num_registered / len(photos.photographs)
-    if config.effort == "thorough" or left <= MAX_LEFT_SHARE:
+    left_share = 1 - attempt.num_registered / len(photos.photographs)
+    if config.effort == "thorough" or left_share <= MAX_LEFT_SHARE:
         return _require_mapped(attempt, photos)
     thorough = _attempt(photos, work_folder / THOROUGH_FOLDER, replace(config, effort="thorough"), report)
-    taken = thorough if thorough.num_registered > attempt.num_registered else attempt
+    best = thorough if thorough.num_registered > attempt.num_registered else attempt
     decision = Decision(
         stage="sfm",
         topic="effort",
-        choice="done again thoroughly, which is taken" if taken is thorough else "done again thoroughly: no gain, dropped",
+        choice="done again thoroughly, which is taken" if best is thorough else "done again thoroughly: no gain, dropped",
         figure=float(thorough.num_registered),
         unit="photographs registered",
         reason=f"{attempt.num_registered} of {len(photos.photographs)} were registered before",
     )
     # Masks are the same whichever database they went into.
-    taken = replace(taken, given_masks=attempt.given_masks, decisions=(*taken.decisions, decision))
-    return _require_mapped(taken, photos)
+    best = replace(best, given_masks=attempt.given_masks, decisions=(*best.decisions, decision))
+    return _require_mapped(best, photos)
 
 
 def _require_mapped(attempt: Attempt, photos: PhotographSet) -> Attempt:
@@ -85,9 +85,9 @@ def _require_mapped(attempt: Attempt, photos: PhotographSet) -> Attempt:
 
 def _attempt(photos: PhotographSet, work_folder: Path, config: SfmConfig, report: Report) -> Attempt:
     with prepare_database(work_folder, database_key(photos.photographs, config, photos.masks)) as database:
-        given = take_masks(photos.masks, photos.photographs, work_folder)
+        original_masks = take_masks(photos.masks, photos.photographs, work_folder)
         candidates, matching = choose_pairs(photos.photographs, config)
-        extract_features(database, photos.folder, photos.photographs, config, report, given)
+        extract_features(database, photos.folder, photos.photographs, config, report, original_masks)
         if has_faces(photo.name for photo in photos.photographs):
             apply_rig(database, photos.folder)
         pairs, previewed = keep_promising(database, candidates, config, report)
@@ -106,7 +106,9 @@ def _attempt(photos: PhotographSet, work_folder: Path, config: SfmConfig, report
     # Faces of panoramas have a lens of their own each, all alike.
     by_lens = () if has_faces(photo.name for photo in photos.photographs) else (lenses.decision,)
     decisions = (matching, *by_lens, *_shortened(config), *previewed, *(mapped.decisions if mapped else ()))
-    return Attempt(mapped=mapped, database=database, given_masks=given, config=config, decisions=decisions, warnings=lenses.warnings)
+    return Attempt(
+        mapped=mapped, database=database, given_masks=original_masks, config=config, decisions=decisions, warnings=lenses.warnings
+    )
 
 
 def _shortened(config: SfmConfig) -> tuple[Decision, ...]:

@@ -65,16 +65,16 @@ def without_repeats(scene: SfmScene, images: Path) -> tuple[SfmScene, tuple[str,
     cameras, warnings = cameras_without_repeats(scene.cameras, scene.points, images)
     if not warnings:
         return scene, ()
-    kept = np.flatnonzero(np.isin(scene.cameras.names, cameras.names))
-    return scene.restricted_to(kept), warnings
+    rows = np.flatnonzero(np.isin(scene.cameras.names, cameras.names))
+    return scene.restricted_to(rows), warnings
 
 
 def cameras_without_repeats(cameras: Cameras, points: FloatArray, images: Path) -> tuple[Cameras, tuple[str, ...]]:
     """As `without_repeats`, of cameras and the points that they see."""
     repeated = find_repeats(cameras, points, lambda index: load_thumbnail(images / cameras.names[index], THUMBNAIL_PX))
-    kept = np.setdiff1d(np.arange(len(cameras)), list(repeated))
+    rows = np.setdiff1d(np.arange(len(cameras)), list(repeated))
     named = {cameras.names[copy]: cameras.names[first] for copy, first in repeated.items()}
-    return cameras.select(kept), copies_warning(named, len(cameras))
+    return cameras.select(rows), copies_warning(named, len(cameras))
 
 
 def _difference(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:

@@ -35,8 +35,8 @@ def with_points(
     """The model with points that its photographs see, and what was done to it. Raises BadInput
     where no point can be triangulated, or none lies in a photograph."""
     if not len(model.points.ids):
-        made = triangulated_model(cameras_of(model), photo_folder, work_folder / "triangulated", SfmConfig(), report, masks)
-        return made, (f"the model has no points: {len(made.points.ids)} were triangulated from its photographs and poses.",)
+        triangulated = triangulated_model(cameras_of(model), photo_folder, work_folder / "triangulated", SfmConfig(), report, masks)
+        return triangulated, (f"the model has no points: {len(triangulated.points.ids)} were triangulated from its photographs and poses.",)
     blind = [image for image in model.images if not (image.point3d_ids != -1).any()]
     tracked = set(model.points.tracks[:, 1].tolist())
     blind = [image for image in blind if image.image_id not in tracked]
@@ -73,11 +73,11 @@ def _with_seen(model: ColmapModel, image: ColmapImage) -> ColmapImage:
     """The image with the points that it sees, behind the 2D points that it has."""
     camera = model.cameras[image.camera_id]
     pose = image.cam_from_world
-    seen, px = seen_points(model.points.xyz @ pose[:3, :3].T + pose[:3, 3], camera.K, camera.size_wh)
+    visible, px = seen_points(model.points.xyz @ pose[:3, :3].T + pose[:3, 3], camera.K, camera.size_wh)
     return replace(
         image,
         points2d=np.concatenate([image.points2d, px]),
-        point3d_ids=np.concatenate([image.point3d_ids, model.points.ids[seen]]),
+        point3d_ids=np.concatenate([image.point3d_ids, model.points.ids[visible]]),
     )
 
 
@@ -88,10 +88,10 @@ def seen_points(in_camera: FloatArray, K: FloatArray, size_wh: tuple[int, int]) 
     px = in_camera[ahead] @ K.T
     px = px[:, :2] / px[:, 2:]
     inside = ((px >= 0) & (px < size_wh)).all(axis=1)
-    seen, px = ahead[inside], px[inside]
+    visible, px = ahead[inside], px[inside]
     columns, rows = (px // (max(size_wh) / CELLS_ACROSS)).astype(np.int64).T
-    cells, depths = rows * CELLS_ACROSS + columns, in_camera[seen, 2]
+    cells, depths = rows * CELLS_ACROSS + columns, in_camera[visible, 2]
     nearest = np.full(CELLS_ACROSS * CELLS_ACROSS, np.inf)
     np.minimum.at(nearest, cells, depths)
     in_front = depths <= MAX_DEPTH_RATIO * nearest[cells]
-    return seen[in_front], px[in_front]
+    return visible[in_front], px[in_front]

@@ -51,7 +51,7 @@ class GivenPoses:
     """Centres and rotations; the calibration is right only where `model` is None."""
     photos: Path
     model: ColmapModel | None
-    given: GivenFrame
+    frame: GivenFrame
     """The way back to the frame that the poses were given in."""
     notes: tuple[str, ...] = ()
     """What was given and is not used, or taken for another."""
@@ -99,18 +99,18 @@ def read_given_poses(source: Path, model_folder: Path | None, where: Where = "to
     if len(cameras) < 2:
         raise BadInput(f"{folder} has {len(cameras)} poses, expected those of all photographs.")
     _require_z_up(cameras, folder)
-    given = shifted_frame(cameras, "the COLMAP model")
-    _require_shared(cameras, given, where)
+    frame = shifted_frame(cameras, "the COLMAP model")
+    _require_shared(cameras, frame, where)
     unposed = photographs_without_pose(files) if where != "by device" else ()
-    beside = notes_on_project(source, for_poses=True) if model_folder is None else ()
+    project_notes = notes_on_project(source, for_poses=True) if model_folder is None else ()
     counts = (*files.count(), *unposed_count(unposed, files))
     return GivenPoses(
-        cameras=move_cameras(cameras, given.given_from_scene.inverse()),
+        cameras=move_cameras(cameras, frame.given_from_scene.inverse()),
         photos=photos,
-        model=_moved(model, given),
-        given=given,
-        notes=(*beside, *files.notes(), *unposed_count(unposed, files), *given.notes()),
-        unnamed_notes=(*beside, *counts, *given.notes()),
+        model=_moved(model, frame),
+        frame=frame,
+        notes=(*project_notes, *files.notes(), *unposed_count(unposed, files), *frame.notes()),
+        unnamed_notes=(*project_notes, *counts, *frame.notes()),
     )
 
 
@@ -137,28 +137,28 @@ def _read_alignment(path: Path, photos: Path, where: Where) -> GivenPoses:
     cameras = _cameras_of(model)
     _require_z_up(cameras, path)
     shift = shifted_frame(cameras, alignment.title)
-    given = replace(
+    frame = replace(
         shift,
         given_from_scene=compose(project.given_from_scene, shift.given_from_scene),
         crs=crs_of(alignment),
         is_default=True,
     )
-    _require_shared(cameras, given, where)
+    _require_shared(cameras, frame, where)
     unposed = photographs_without_pose(files) if where != "by device" else ()
     counts = (*files.count(), *unposed_count(unposed, files))
     return GivenPoses(
         cameras=move_cameras(cameras, shift.given_from_scene.inverse()),
         photos=photos,
         model=_moved(model, shift),
-        given=given,
-        notes=(said_of(alignment), *alignment.notes, *files.notes(), *unposed_count(unposed, files), *given.notes()),
-        unnamed_notes=(*counts, *given.notes()),
+        frame=frame,
+        notes=(said_of(alignment), *alignment.notes, *files.notes(), *unposed_count(unposed, files), *frame.notes()),
+        unnamed_notes=(*counts, *frame.notes()),
     )
 
 
-def _require_shared(cameras: Cameras, given: GivenFrame, where: Where) -> None:
+def _require_shared(cameras: Cameras, frame: GivenFrame, where: Where) -> None:
     """Raise BadInput where one device of many would choose a frame of its own."""
-    if where == "own" and not given.is_same:
+    if where == "own" and not frame.is_same:
         raise BadInput(
             f"the poses lie up to {np.abs(cameras.centers).max():.3g} from their origin, where float32 loses what is small: take the same "
             "whole numbers off the poses of all devices."
@@ -169,8 +169,8 @@ def _read_mill19_poses(source: Path) -> GivenPoses:
     cameras = read_mill19(source)
     unposed = images_without_pose(source, cameras)
     note = f"{len(unposed)} of {len(cameras) + len(unposed)} images in rgbs have no metadata and are left out."
-    given = GivenFrame(given_from_scene=given_from_scene(source), model="the Mill 19 folder (c2w of its metadata)")
-    return GivenPoses(cameras=cameras, photos=source, model=None, given=given, notes=(note,) if unposed else ())
+    frame = GivenFrame(given_from_scene=given_from_scene(source), model="the Mill 19 folder (c2w of its metadata)")
+    return GivenPoses(cameras=cameras, photos=source, model=None, frame=frame, notes=(note,) if unposed else ())
 
 
 def _below_devices(files: ImageFiles) -> ImageFiles:
@@ -207,9 +207,9 @@ def _below_first(path: str) -> str:
     return path.partition("/")[2] or path
 
 
-def _moved(model: ColmapModel, given: GivenFrame) -> ColmapModel:
+def _moved(model: ColmapModel, frame: GivenFrame) -> ColmapModel:
     """The model in the frame of the scene, which is a shift from that of the model."""
-    shift = given.given_from_scene.translation
+    shift = frame.given_from_scene.translation
     images = tuple(replace(image, translation=image.translation + image.cam_from_world[:3, :3] @ shift) for image in model.images)
     return replace(model, images=images, points=replace(model.points, xyz=model.points.xyz - shift))
 

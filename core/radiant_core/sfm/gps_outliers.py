@@ -72,12 +72,12 @@ def gps_outliers(scene: SfmScene, photographs: tuple[Photograph, ...]) -> GpsOut
         return GpsOutliers(names=(), away_m=(), num_gps=sum(photo.lat_lon_alt is not None for photo in placed))
     positions_m = gps_about(tuple(placed), scene.frame.origin_lat_lon_alt)
     away_m = np.linalg.norm((positions_m - scene.cameras.centers)[:, :2], axis=1)
-    known = np.isfinite(away_m)
-    limit_m = max(LEAST_M, OUTLIER_FACTOR * float(np.median(away_m[known]))) if known.any() else LEAST_M
-    far = [int(index) for index in np.argsort(-away_m) if known[index] and away_m[index] > limit_m]
+    has_gps = np.isfinite(away_m)
+    limit_m = max(LEAST_M, OUTLIER_FACTOR * float(np.median(away_m[has_gps]))) if has_gps.any() else LEAST_M
+    far = [int(index) for index in np.argsort(-away_m) if has_gps[index] and away_m[index] > limit_m]
     return GpsOutliers(
         names=tuple(scene.cameras.names[index] for index in far),
         away_m=tuple(away_m[far].tolist()),
-        num_gps=int(known.sum()),
+        num_gps=int(has_gps.sum()),
         extent_m=float(np.linalg.norm(np.ptp(scene.cameras.centers[:, :2], axis=0))),
     )

@@ -56,9 +56,9 @@ def scene_from_mill19(
 ) -> SfmResult:
     """The scene of a Mill 19 / Mega-NeRF folder: its poses, points triangulated from its
     photographs. Raises BadInput for another layout, or an image or a mask that is unusable."""
-    given = read_mill19(folder)
-    unposed = images_without_pose(folder, given)
-    cameras, copied = without_copies(given, folder)
+    cameras_of_folder = read_mill19(folder)
+    unposed = images_without_pose(folder, cameras_of_folder)
+    cameras, copied = without_copies(cameras_of_folder, folder)
     scene = scene_from_poses(cameras, folder, work_folder, config, report, masks)
     scene, repeats = without_repeats(scene, folder)
     masks = work_folder / FINAL if (work_folder / FINAL).is_dir() else None
@@ -70,7 +70,7 @@ def scene_from_mill19(
         unit="photographs",
         reason="coordinates.pt gives a scale and no place on the globe",
     )
-    count = len(given) + len(unposed)
+    count = len(cameras_of_folder) + len(unposed)
     named = ", ".join(unposed[:10])
     unposed_note = (f"{len(unposed)} of {count} images in rgbs have no metadata and are left out: {named}.",) if unposed else ()
     warning = "the folder's poses are used as they are; its unit is the metre only if whoever made it said so."
@@ -124,9 +124,9 @@ def triangulated_model(
     config, _ = limit_to_memory(config, [photo.size_wh for photo in photographs])
     report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases([photo.size_wh for photo in photographs], config))
     with prepare_database(work_folder, database_key(photographs, config, masks)) as database:
-        given = take_masks(masks, photographs, work_folder)
-        extract_features(database, photo_folder, photographs, config, report, given)
-        keep_masks(given, work_folder)
+        original_masks = take_masks(masks, photographs, work_folder)
+        extract_features(database, photo_folder, photographs, config, report, original_masks)
+        keep_masks(original_masks, work_folder)
         model_folder = work_folder / "sparse"
         posed = posed_model(cameras, database, model_folder)
         candidates = neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors)
@@ -200,9 +200,9 @@ def is_almost(size_wh: tuple[int, int], camera_wh: tuple[int, int]) -> bool:
     )
 
 
-def misfit_text(what: str, size_wh: tuple[int, int], camera_wh: tuple[int, int]) -> str:
-    """What is said of a photograph (`what`) of another size than the camera of its pose."""
-    sizes = f"{what} has {size_wh} px and its camera {camera_wh}"
+def misfit_text(subject: str, size_wh: tuple[int, int], camera_wh: tuple[int, int]) -> str:
+    """What is said of a photograph (`subject`) of another size than the camera of its pose."""
+    sizes = f"{subject} has {size_wh} px and its camera {camera_wh}"
     if is_almost(size_wh, camera_wh):
         return (
             f"{sizes}: the poses are of undistorted photographs and these are as they were taken: give the undistorted ones, which a run "

@@ -21,34 +21,34 @@ from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.plain_fisheyes import bend_plain_fisheyes
 
-GIVEN, UNDISTORTING, FINAL = "masks.given", "masks.part", "masks"
+ORIGINAL, UNDISTORTING, FINAL = "masks.given", "masks.part", "masks"
 
 
 def take_masks(folder: Path | None, photographs: Sequence[Photograph], work_folder: Path) -> Path | None:
     """Copy the masks of `photographs`, or else their alpha channels, checked, to where COLMAP looks
     for them; None without any. Raises BadInput as `load_mask`."""
-    given = work_folder / GIVEN
-    shutil.rmtree(given, ignore_errors=True)
-    found = {} if folder is None else find_masks(folder, [photo.name for photo in photographs])
+    original = work_folder / ORIGINAL
+    shutil.rmtree(original, ignore_errors=True)
+    paths = {} if folder is None else find_masks(folder, [photo.name for photo in photographs])
     for photo in photographs:
-        path = found.get(photo.name)
+        path = paths.get(photo.name)
         used = alpha_mask(photo.path) if path is None else load_mask(path, photo.size_wh)
         if used is not None:
-            save_mask(given / mask_name(photo.name), used)
-    return given if given.is_dir() else None
+            save_mask(original / mask_name(photo.name), used)
+    return original if original.is_dir() else None
 
 
-def keep_masks(given: Path | None, work_folder: Path) -> Path | None:
+def keep_masks(original: Path | None, work_folder: Path) -> Path | None:
     """The taken masks as the scene's, whose photographs stay as they were taken."""
-    if given is None:
+    if original is None:
         return None
     shutil.rmtree(work_folder / FINAL, ignore_errors=True)
-    return given.rename(work_folder / FINAL)
+    return original.rename(work_folder / FINAL)
 
 
-def undistort_masks(given: Path | None, model_folder: Path, work_folder: Path, num_threads: int) -> Path | None:
+def undistort_masks(original: Path | None, model_folder: Path, work_folder: Path, num_threads: int) -> Path | None:
     """The masks without lens distortion; a pixel that half or more of is used stays used."""
-    if given is None:
+    if original is None:
         return None
     part, renamed = work_folder / UNDISTORTING, work_folder / UNDISTORTING / "model"
     shutil.rmtree(part, ignore_errors=True)
@@ -59,15 +59,15 @@ def undistort_masks(given: Path | None, model_folder: Path, work_folder: Path, n
     for image in model.images.values():
         image.name = mask_name(image.name)
     model.write_binary(renamed)
-    masked = [mask_name(name) for name in names if (given / mask_name(name)).is_file()]
+    masked = [mask_name(name) for name in names if (original / mask_name(name)).is_file()]
     if masked:
-        call_colmap("undistorting masks", pycolmap.undistort_images, part, renamed, given, image_names=masked, num_threads=num_threads)
+        call_colmap("undistorting masks", pycolmap.undistort_images, part, renamed, original, image_names=masked, num_threads=num_threads)
     shutil.rmtree(work_folder / FINAL, ignore_errors=True)
     for name in masked:
         image = cv2.imread(str(part / "images" / name), cv2.IMREAD_GRAYSCALE)
         assert image is not None
         save_mask(work_folder / FINAL / name, used_pixels(np.asarray(image, np.uint8)))
-    for folder in (part, given):
+    for folder in (part, original):
         shutil.rmtree(folder)
     return work_folder / FINAL
 
@@ -81,9 +81,9 @@ def without_masked_points(scene: SfmScene, masks: Path | None) -> SfmScene:
     views = scene.observations[rows, 1]
     ignored = np.zeros(len(scene.observations), bool)
     for view in np.unique(views):
-        own = views == view
-        columns, lines = pixels[own].T
-        ignored[rows[own]] = ~used_pixels(weights[view])[lines, columns]
+        in_view = views == view
+        columns, lines = pixels[in_view].T
+        ignored[rows[in_view]] = ~used_pixels(weights[view])[lines, columns]
     observed = SfmScene(
         cameras=scene.cameras, points=scene.points, colors=scene.colors, observations=scene.observations[~ignored], frame=scene.frame
     )
@@ -110,4 +110,4 @@ def masks_decision(scene: SfmScene, masks: Path | None) -> tuple[Decision, ...]:
 
 
 def _used_share(weights: Sequence[NDArray[np.uint8]]) -> float:
-    return float(np.average([used_pixels(each).mean() for each in weights], weights=[each.size for each in weights]))
+    return float(np.average([used_pixels(mask).mean() for mask in weights], weights=[mask.size for mask in weights]))

@@ -39,8 +39,8 @@ def masks_in_use(
     Raises BadInput where none fits, one fits two, or nothing says which colour is left out.
     """
     if folder is None:
-        said = () if ignores == "nothing" else find_mask_folder(photo_folder, names)[1]
-        yield MasksInUse(folder=None, warnings=said, unnamed_warnings=tuple("masks are named after no photograph." for _ in said))
+        notes = () if ignores == "nothing" else find_mask_folder(photo_folder, names)[1]
+        yield MasksInUse(folder=None, warnings=notes, unnamed_warnings=tuple("masks are named after no photograph." for _ in notes))
         return
     masks = find_masks(folder, names)
     matched = match_masks(folder, names)

@@ -66,8 +66,8 @@ def _most_pixels(sizes_wh: Sizes) -> float:
 def mapping_bytes(num_photographs: int, num_features: int, mapper: Mapper = "incremental") -> float:
     """Peak memory in bytes of mapping so many photographs with so many features asked of each; of
     auto: of all that it may try."""
-    each = MAPPING_BYTES_PER_FEATURE if mapper == "incremental" else GLOBAL_BYTES_PER_FEATURE
-    return PROCESS_BYTES + each * float(num_photographs) * num_features
+    feature_bytes = MAPPING_BYTES_PER_FEATURE if mapper == "incremental" else GLOBAL_BYTES_PER_FEATURE
+    return PROCESS_BYTES + feature_bytes * float(num_photographs) * num_features
 
 
 def limit_to_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tuple[Decision, ...]]:
@@ -82,11 +82,11 @@ def limit_to_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tupl
         threads -= 1
     while side_px > LEAST_SIDE_PX and features_bytes(threads, side_px, sizes_wh) > limit:
         side_px = max(LEAST_SIDE_PX, side_px - 16)
-    found = features_bytes(threads, side_px, sizes_wh)
-    if found > limit:
+    needed_bytes = features_bytes(threads, side_px, sizes_wh)
+    if needed_bytes > limit:
         raise BadInput(
             f"{limit / 1e6:,.0f} MB of memory are too few to find features, even in photographs of {side_px} px: "
-            f"give {found / 1e6:,.0f} MB."
+            f"give {needed_bytes / 1e6:,.0f} MB."
         )
     least: Mapper = "global" if config.mapper == "global" else "incremental"
     features = _features_within(limit, len(sizes_wh), config.max_num_features, least)
@@ -100,7 +100,7 @@ def limit_to_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tupl
         choice=f"{threads} of {config.threads} threads, photographs of {side_px:,} of {config.max_image_size_px:,} px{fewer}{only}",
         figure=limit / 1e6,
         unit="MB allowed",
-        reason=f"finding features is predicted to take {found / 1e6:,.0f} MB, mapping {mapped / 1e6:,.0f} MB",
+        reason=f"finding features is predicted to take {needed_bytes / 1e6:,.0f} MB, mapping {mapped / 1e6:,.0f} MB",
         forced=True,
     )
     config = replace(config, num_threads=threads, max_image_size_px=side_px, max_num_features=features, mapper=mapper)

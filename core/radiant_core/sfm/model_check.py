@@ -49,14 +49,14 @@ def _views(model: ColmapModel) -> tuple[PosedView, ...]:
     order = np.argsort(model.points.ids)
     views = []
     for image in model.images:
-        known = image.point3d_ids != -1
-        rows = order[np.searchsorted(model.points.ids[order], image.point3d_ids[known])] if len(order) else np.zeros(0, np.int64)
+        has_point = image.point3d_ids != -1
+        rows = order[np.searchsorted(model.points.ids[order], image.point3d_ids[has_point])] if len(order) else np.zeros(0, np.int64)
         views.append(
             PosedView(
                 name=image.name,
                 lens_id=image.camera_id,
                 cam_from_world=image.cam_from_world,
-                pixels=image.points2d[known],
+                pixels=image.points2d[has_point],
                 point_rows=rows,
             )
         )

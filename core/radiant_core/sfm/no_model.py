@@ -58,7 +58,7 @@ def _different_pictures(paths: Sequence[Path]) -> int:
     different: list[NDArray[np.float32]] = []
     for path in paths:
         picture = _small(load_thumbnail(path, COMPARED_PX))
-        if all(np.abs(picture - other).mean() >= SAME_PICTURE for other in different):
+        if all(np.abs(picture - earlier).mean() >= SAME_PICTURE for earlier in different):
             different.append(picture)
     return len(different)
 

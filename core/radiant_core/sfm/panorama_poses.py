@@ -51,7 +51,10 @@ def with_faces(alignment: PoseFile, photos: Path, masks: Path | None, work_folde
     if odd:
         raise BadInput(f"photograph {odd[0]!r} has {sizes[odd[0]]} px, and a panorama is twice as wide as high: give whole panoramas.")
     faces = cut_panoramas(
-        photos, spheres, work_folder / FACES, lambda done, total: report(SfmProgress(phase="cutting panoramas", done=done, total=total))
+        photos,
+        spheres,
+        work_folder / FACES,
+        lambda num_done, total: report(SfmProgress(phase="cutting panoramas", done=num_done, total=total)),
     )
     if masks is not None:
         cut_masks(find_masks(masks, spheres), sizes, work_folder / FACE_MASKS, faces)

@@ -112,11 +112,11 @@ def check_poses(project: PoseFile, photos: Path, *, rough: bool = False) -> Deci
     that only other readings are refused."""
     limit_px = max(LEAST_LIMIT_PX, LIMIT_SHARE * max(max(lens.size_wh) for lens in project.lenses.values()))
     _require_inside(project)
-    thumbnails, seen = _Thumbnails(project=project, photos=photos), project.num_seen
+    thumbnails, num_seen = _Thumbnails(project=project, photos=photos), project.num_seen
     decision = None
-    if seen:
+    if num_seen:
         figure = _require_small(project, lambda reading: _reprojection_px(project, reading), ("points", limit_px, rough))
-        decision = _decision(project, figure, "px", f"median distance of {seen} observed points from where the poses put them")
+        decision = _decision(project, figure, "px", f"median distance of {num_seen} observed points from where the poses put them")
     # Observations without colours say nothing of the photographs.
     if decision is None or project.colors is None:
         decision = decision or _decision(project, 0.0, "matched pairs", UNCHECKED)
@@ -139,21 +139,21 @@ def _decision(project: PoseFile, figure: float, unit: str, reason: str) -> Decis
 def _require_small(project: PoseFile, errors_of: Errors, limits: tuple[str, float, bool]) -> float:
     """The median error as it was read; BadInput where it is too large, or another reading has
     less."""
-    what, limit_px, rough = limits
+    noun, limit_px, rough = limits
     as_read = errors_of(AS_READ)
     median_px = _median(as_read)
     readings = (*LENS_READINGS, *(POSE_READINGS if median_px > limit_px else ()))
     others = [(_median(errors_of(reading)), reading) for reading in readings if _matters(project, reading)]
-    best_px, best = min(others, key=lambda each: each[0], default=(np.inf, AS_READ))
+    best_px, best = min(others, key=lambda pair: pair[0], default=(np.inf, AS_READ))
     wins = best_px < CLEARLY * median_px and best_px < median_px - CLEARLY_PX and (median_px <= limit_px or best_px <= limit_px)
     if wins:
         raise BadInput(
-            f"{project.title} does not fit its photographs: {what} lie {_px(median_px)} from where poses and lenses put them (median of "
+            f"{project.title} does not fit its photographs: {noun} lie {_px(median_px)} from where poses and lenses put them (median of "
             f"{len(as_read)}), and {_px(best_px)} if it has {best.says}: export it again in the form that docs/begun_elsewhere.md names."
         )
     if median_px > limit_px and not rough:
         raise BadInput(
-            f"{project.title} does not fit its photographs: {what} lie {_px(median_px)} from where poses and lenses put them (median of "
+            f"{project.title} does not fit its photographs: {noun} lie {_px(median_px)} from where poses and lenses put them (median of "
             f"{len(as_read)}), expected at most {limit_px:.1f} px: give the photographs that it was made from, let --refine-poses adjust "
             "rough poses, or --poses none place the photographs anew."
         )
@@ -203,8 +203,8 @@ def _require_inside(project: PoseFile) -> None:
     rows = np.arange(len(project.points))
     least = np.full(len(rows), min(2, len(project.views)))
     if project.num_seen:
-        seen = np.bincount(np.concatenate([np.unique(view.point_rows) for view in project.views]), minlength=len(rows))
-        rows, least = np.flatnonzero(seen), np.minimum(least, seen)[seen > 0]
+        view_counts = np.bincount(np.concatenate([np.unique(view.point_rows) for view in project.views]), minlength=len(rows))
+        rows, least = np.flatnonzero(view_counts), np.minimum(least, view_counts)[view_counts > 0]
     some = _some(len(rows), MAX_POINTS)
     rows, least = rows[some], least[some]
     if not len(rows):
@@ -228,12 +228,12 @@ def _require_colours(project: PoseFile, thumbnails: _Thumbnails) -> None:
     for number in _some(len(project.views), MAX_VIEWS):
         view = project.views[number]
         pixels, depths = _projected(project, view, project.points[rows])
-        seen = _nearest_seen(pixels, depths, project.lenses[view.lens_id].size_wh)
+        visible = _nearest_seen(pixels, depths, project.lenses[view.lens_id].size_wh)
         picture, scale = thumbnails.of(number)
-        columns, lines = np.minimum((pixels[seen] * scale).astype(np.int64), np.array(picture.shape[1::-1]) - 1).T
+        columns, lines = np.minimum((pixels[visible] * scale).astype(np.int64), np.array(picture.shape[1::-1]) - 1).T
         colours = picture[lines, columns].astype(np.float64)
-        matched.append(np.abs(colours - project.colors[rows[seen]]).mean(axis=1))
-        by_chance.append(np.abs(colours - project.colors[rows[shuffled[seen]]]).mean(axis=1))
+        matched.append(np.abs(colours - project.colors[rows[visible]]).mean(axis=1))
+        by_chance.append(np.abs(colours - project.colors[rows[shuffled[visible]]]).mean(axis=1))
     right, chance = float(np.mean(np.concatenate(matched))), float(np.mean(np.concatenate(by_chance)))
     if right > MAX_COLOUR_RATIO * chance:
         raise BadInput(
@@ -326,20 +326,20 @@ def _matches(first: tuple[FloatArray, np.ndarray], second: tuple[FloatArray, np.
     if min(len(first[0]), len(second[0])) < MIN_MATCHES:
         return none
     matcher = cv2.BFMatcher(cv2.NORM_L2)
-    forth, back = (matcher.knnMatch(one, other, k=2) for one, other in ((first[1], second[1]), (second[1], first[1])))
+    forth, back = (matcher.knnMatch(queries, targets, k=2) for queries, targets in ((first[1], second[1]), (second[1], first[1])))
     best = {
         match[0].queryIdx: match[0].trainIdx for match in forth if len(match) == 2 and match[0].distance < MATCH_RATIO * match[1].distance
     }
     returned = {match[0].queryIdx: match[0].trainIdx for match in back if match}
-    rows = np.array([(one, other) for one, other in best.items() if returned.get(other) == one], np.int64).reshape(-1, 2)
+    rows = np.array([(query, target) for query, target in best.items() if returned.get(target) == query], np.int64).reshape(-1, 2)
     if len(rows) < MIN_MATCHES:
         return none
-    one, other = first[0][rows[:, 0]], second[0][rows[:, 1]]
+    first_px, second_px = first[0][rows[:, 0]], second[0][rows[:, 1]]
     cv2.setRNGSeed(0)
     # Wide, since a lens bends the lines.
-    _, inliers = cv2.findFundamentalMat(one, other, cv2.USAC_MAGSAC, max(lens.size_wh) / 300, 0.999, 5000)
-    agree = np.zeros(len(one), bool) if inliers is None else np.asarray(inliers, bool).ravel()
-    return one[agree], other[agree]
+    _, inliers = cv2.findFundamentalMat(first_px, second_px, cv2.USAC_MAGSAC, max(lens.size_wh) / 300, 0.999, 5000)
+    agree = np.zeros(len(first_px), bool) if inliers is None else np.asarray(inliers, bool).ravel()
+    return first_px[agree], second_px[agree]
 
 
 def _epipolar_px(pairs: tuple[_Pair, ...], reading: Reading) -> FloatArray:
@@ -382,8 +382,8 @@ def _require_in_front(project: PoseFile, pairs: tuple[_Pair, ...]) -> None:
         with np.errstate(all="ignore"):
             det = tt * ss - ts * ts
             depths = (ts * sx - ss * tx) / det, (tt * sx - ts * tx) / det
-        known = np.isfinite(depths[0]) & (np.abs(det) > 1e-12)
-        shares.append(((depths[0] > 0) & (depths[1] > 0))[known])
+        is_defined = np.isfinite(depths[0]) & (np.abs(det) > 1e-12)
+        shares.append(((depths[0] > 0) & (depths[1] > 0))[is_defined])
     in_front = np.concatenate(shares)
     if len(in_front) and in_front.mean() < MIN_IN_FRONT:
         raise BadInput(

@@ -38,7 +38,7 @@ from radiant_core.sfm.reconstruct import GivenModel, scene_from_model
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED
 
-GIVEN, STRAIGHT = "given", "straight"
+ORIGINAL, STRAIGHT = "given", "straight"
 """Folders of a work folder: the model of the alignment, photographs without distortion."""
 MAX_ASPECT = 0.01
 """By how much the shapes of a photograph and its lens may differ: rounding of a reduced size."""
@@ -131,43 +131,43 @@ class Alignment:
 
 
 def scene_from_rough_colmap(
-    given: Alignment, work_folder: Path, report: Report, masks: Path | None = None, placement: Placement = UNPLACED
+    request: Alignment, work_folder: Path, report: Report, masks: Path | None = None, placement: Placement = UNPLACED
 ) -> SfmResult:
     """`scene_from_colmap` with poses that are adjusted first; raises alike."""
     start_clean(work_folder)
-    shutil.rmtree(work_folder / GIVEN, ignore_errors=True)
-    model, files = read_with_files(given.path, given.photos)
-    checked = check_model_poses(model, given.path, given.photos, rough=True)
-    write_for_colmap(model, work_folder / GIVEN)
-    rough = GivenModel(folder=work_folder / GIVEN, images=given.photos, is_checked=True)
+    shutil.rmtree(work_folder / ORIGINAL, ignore_errors=True)
+    model, files = read_with_files(request.path, request.photos)
+    checked = check_model_poses(model, request.path, request.photos, rough=True)
+    write_for_colmap(model, work_folder / ORIGINAL)
+    rough = GivenModel(folder=work_folder / ORIGINAL, images=request.photos, is_checked=True)
     source, masks, refined = refined_model(rough, work_folder, report, masks)
     result = scene_from_model(source, work_folder, report, masks, placement)
     return replace(result, decisions=(checked, refined, *result.decisions), warnings=(*files.notes(), *result.warnings))
 
 
 def scene_from_alignment(
-    given: Alignment, work_folder: Path, report: Report, masks: Path | None = None, placement: Placement = UNPLACED
+    request: Alignment, work_folder: Path, report: Report, masks: Path | None = None, placement: Placement = UNPLACED
 ) -> SfmResult:
     """The scene of another program's alignment and its photographs; raises as `read_project` and
     `scene_from_colmap`."""
-    path = given.path
+    path = request.path
     start_clean(work_folder)
-    faced = with_faces(read_named(path, given.photos), given.photos, masks, work_folder, report)
+    faced = with_faces(read_named(path, request.photos), request.photos, masks, work_folder, report)
     photos, masks = faced.photos, faced.masks
-    if faced.faces is not None and given.refine_poses:
+    if faced.faces is not None and request.refine_poses:
         raise BadInput(f"{faced.alignment.title} has panoramas, whose poses are not adjusted here: leave out --refine-poses.")
-    project = placed_project(faced.alignment, photos, rough=given.refine_poses)
+    project = placed_project(faced.alignment, photos, rough=request.refine_poses)
     if project.frame is not None and replace(placement, contradictions="stop") != UNPLACED:
         raise BadInput(
             f"{project.alignment.title} says what its coordinates are ({project.alignment.world.title}), which is used as it is: leave out "
             "--up, --north, --distance, --height and --gcp."
         )
-    for name in (GIVEN, STRAIGHT, REFINED):
+    for name in (ORIGINAL, STRAIGHT, REFINED):
         shutil.rmtree(work_folder / name, ignore_errors=True)
     images, masks = _straight(project, photos, work_folder, report, masks)
-    write_for_colmap(project.model, work_folder / GIVEN)
+    write_for_colmap(project.model, work_folder / ORIGINAL)
     source = GivenModel(
-        folder=work_folder / GIVEN,
+        folder=work_folder / ORIGINAL,
         images=images,
         title=project.alignment.title,
         frame=project.frame,
@@ -179,7 +179,7 @@ def scene_from_alignment(
     decisions = [] if project.check is None else [project.check]
     if faced.faces is not None:
         decisions.append(faced.faces.decision(len(faced.alignment.views) // len(faced.faces.rig.faces), forced=False))
-    if given.refine_poses:
+    if request.refine_poses:
         source, masks, refined = refined_model(source, work_folder, report, masks)
         decisions.append(refined)
     result = scene_from_model(source, work_folder, report, masks, placement)
@@ -192,8 +192,8 @@ def scene_from_alignment(
 
 def _in_one_line(used: str, warnings: tuple[str, ...]) -> tuple[str, ...]:
     """What is used and what is left beside it as the first warning, then the others."""
-    left = [warning for warning in warnings if warning.startswith(OPENING)]
-    return ("; ".join([used.removesuffix("."), *left]) if left else used, *(warning for warning in warnings if warning not in left))
+    lines = [warning for warning in warnings if warning.startswith(OPENING)]
+    return ("; ".join([used.removesuffix("."), *lines]) if lines else used, *(warning for warning in warnings if warning not in lines))
 
 
 def said_of(alignment: PoseFile) -> str:
@@ -238,8 +238,8 @@ def _straight_view(view: PosedView, lens: Lens) -> PosedView:
         return view
     rays = lens.cam_from_img(view.pixels)
     pixels = np.column_stack([lens.cx + lens.fx * rays[:, 0] / rays[:, 2], lens.cy + lens.fy * rays[:, 1] / rays[:, 2]])
-    seen = np.isfinite(pixels).all(axis=1) & ((pixels >= 0) & (pixels < lens.size_wh)).all(axis=1)
-    return replace(view, pixels=pixels[seen], point_rows=view.point_rows[seen])
+    is_inside = np.isfinite(pixels).all(axis=1) & ((pixels >= 0) & (pixels < lens.size_wh)).all(axis=1)
+    return replace(view, pixels=pixels[is_inside], point_rows=view.point_rows[is_inside])
 
 
 def _in_their_size(alignment: PoseFile, photos: Path) -> PoseFile:
@@ -274,7 +274,7 @@ def _sizes_in(photos: Path) -> SizeOf:
     def size_of(name: str) -> tuple[int, int] | None:
         last = PurePosixPath(name.replace("\\", "/")).name.casefold()
         there = by_stem.get(last, []) or by_stem.get(PurePosixPath(last).stem, [])
-        sizes = {photograph_size_wh(photos / each) for each in there}
+        sizes = {photograph_size_wh(photos / name) for name in there}
         return sizes.pop() if len(sizes) == 1 else None
 
     return size_of

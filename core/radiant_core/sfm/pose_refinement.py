@@ -49,12 +49,12 @@ def refined_model(source: GivenModel, work_folder: Path, report: Report, masks: 
     place.mkdir(parents=True, exist_ok=True)
     config = SfmConfig()
     model, images = read_model(source.folder), source.images
-    given = take_masks(masks, list_usable(images, report, tuple(image.name for image in model.images)).photographs, place)
+    original_masks = take_masks(masks, list_usable(images, report, tuple(image.name for image in model.images)).photographs, place)
     if all(model.cameras[image.camera_id].is_pinhole for image in model.images):
-        masks = keep_masks(given, place)
+        masks = keep_masks(original_masks, place)
     else:
         undistorted = undistort(source.folder, images, place, config.threads, report)
-        masks = undistort_masks(given, source.folder, place, config.threads)
+        masks = undistort_masks(original_masks, source.folder, place, config.threads)
         model, images = read_model(undistorted.model_folder), undistorted.image_folder
     cameras = cameras_of(model)
     folder = _adjusted(cameras, images, place / "poses", report, masks)
@@ -84,15 +84,15 @@ def _adjusted(cameras: Cameras, photo_folder: Path, work_folder: Path, report: R
     photographs = photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
     config, _ = limit_to_memory(SfmConfig(), [photo.size_wh for photo in photographs])
     with prepare_database(work_folder, database_key(photographs, config, masks)) as database:
-        given = take_masks(masks, photographs, work_folder)
-        extract_features(database, photo_folder, photographs, config, report, given)
+        original_masks = take_masks(masks, photographs, work_folder)
+        extract_features(database, photo_folder, photographs, config, report, original_masks)
         folder = work_folder / "sparse"
         model = posed_model(cameras, database, folder)
         pairs, _ = keep_promising(database, neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors), config, report)
         match_pairs(database, pairs, config, report)
-        for done, limits in enumerate(zip(LIMITS_PX, LIMITS_DEG, strict=True), 1):
+        for num_done, limits in enumerate(zip(LIMITS_PX, LIMITS_DEG, strict=True), 1):
             _triangulate(model, database, photo_folder, folder, limits)
-            report(SfmProgress(phase="refining", done=done, total=len(LIMITS_PX)))
+            report(SfmProgress(phase="refining", done=num_done, total=len(LIMITS_PX)))
             model = pycolmap.Reconstruction(folder)
             if not model.num_points3D():
                 break

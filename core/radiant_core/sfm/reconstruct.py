@@ -71,11 +71,11 @@ def reconstruct(
     contradicted = check_control(placement, photographs, {photo.name: photo.size_wh for photo in photographs})
     config, limited = limit_to_memory(config, sizes_wh)
     report = TimeLeft(report=report, phases=phases, predicted_s=predict_phases(sizes_wh, config))
-    given_masks, beside = masks, beside_warning(photo_folder, masks, control=placement.control_text)
+    given_masks, project_notes = masks, beside_warning(photo_folder, masks, control=placement.control_text)
     given_folder, photo_folder = photo_folder, readable_folder(listing, photo_folder, work_folder)
     photos = PhotographSet(folder=photo_folder, given_folder=given_folder, photographs=photographs, masks=masks)
     attempt = find_poses(photos, work_folder, config, report)
-    mapped, given = attempt.mapped, attempt.given_masks
+    mapped, original_masks = attempt.mapped, attempt.given_masks
     assert mapped is not None
     sparse = work_folder / "sparse"
     sparse.mkdir()
@@ -84,7 +84,7 @@ def reconstruct(
     blind = _triangulate(refined, attempt, photo_folder, sparse, report)
     undistorted = undistort(sparse, photo_folder, work_folder, undistorting_threads(config, sizes_wh), report)
     remove_readable(work_folder)
-    masks = undistort_masks(given, sparse, work_folder, config.threads)
+    masks = undistort_masks(original_masks, sparse, work_folder, config.threads)
     placed = _placed(read_model(undistorted.model_folder), surveyed, photographs, config.seed, placement)
     scene, repeats = without_repeats(placed.scene, undistorted.image_folder)
     for folder in (sparse, undistorted.model_folder):
@@ -98,7 +98,7 @@ def reconstruct(
         unregistered=mapped.unregistered,
         decisions=(*limited, *stretch_decisions(listing), *attempt.decisions, *placed.decisions, *masks_decision(scene, masks)),
         warnings=(
-            *warn_of_unused(listing, beside),
+            *warn_of_unused(listing, project_notes),
             *attempt.warnings,
             *repeats,
             *_named(_unregistered_counts(mapped.unregistered, photographs), mapped.unregistered),
@@ -200,7 +200,7 @@ def scene_from_model(
     _require_tracks(model, model_folder, placement)
     checked = () if source.is_checked else (check_model_poses(model, model_folder, image_folder),)
     contradicted = check_control(placement, listing.photographs, _sizes_of(model))
-    beside = beside_warning(image_folder, masks, control=placement.control_text, used=source.used)
+    project_notes = beside_warning(image_folder, masks, control=placement.control_text, used=source.used)
     if masks is not None or placement.control is not None or not pinhole:
         start_clean(work_folder)
     image_folder = readable_folder(listing, image_folder, work_folder)
@@ -210,14 +210,14 @@ def scene_from_model(
     if placement.control is not None:
         model_folder, surveyed = _adjusted_copy(model_folder, work_folder / "adjusted", listing.photographs, placement, report)
         model = read_model(model_folder)
-    given = take_masks(masks, listing.photographs, work_folder)
+    original_masks = take_masks(masks, listing.photographs, work_folder)
     if pinhole:
-        masks, images_to_use = keep_masks(given, work_folder), image_folder
+        masks, images_to_use = keep_masks(original_masks, work_folder), image_folder
     else:
         if listing.left_out or any(" " in image.name for image in model.images):
             model_folder = _written(model, work_folder / "sparse")
-        model, images_to_use, masks = _undistorted(model_folder, image_folder, work_folder, given, report)
-    model, said = with_points(model, images_to_use, work_folder, report, masks)
+        model, images_to_use, masks = _undistorted(model_folder, image_folder, work_folder, original_masks, report)
+    model, point_notes = with_points(model, images_to_use, work_folder, report, masks)
     model, blind = without_blind_faces(model)
     if source.frame is not None:
         placed = scene_as_given(model, source.frame)
@@ -236,8 +236,8 @@ def scene_from_model(
         warnings=(
             *files.notes(),
             *_named(unposed_count(unposed, files), unposed),
-            *warn_of_unused(listing, beside),
-            *said,
+            *warn_of_unused(listing, project_notes),
+            *point_notes,
             *blind,
             *repeats,
             *outliers.warning(),
@@ -304,9 +304,9 @@ def _given_frame(placed: PlacedScene, source: GivenModel, centers: dict[str, Flo
     back, error = placed.world_from_model.inverse(), 0.0
     if centers is not None:
         cameras = placed.scene.cameras
-        given = np.array([centers[name] for name in cameras.names])
-        back = fit_sim3(cameras.centers, given)
-        error = float(np.linalg.norm(back.apply(cameras.centers) - given, axis=1).max())
+        given_centers = np.array([centers[name] for name in cameras.names])
+        back = fit_sim3(cameras.centers, given_centers)
+        error = float(np.linalg.norm(back.apply(cameras.centers) - given_centers, axis=1).max())
     if source.given_from_model is not None:
         back = compose(source.given_from_model, back)
     return GivenFrame(given_from_scene=back, model=source.title, largest_error=error, crs=source.crs, is_default=bool(source.used))

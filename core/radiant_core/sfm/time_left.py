@@ -129,5 +129,5 @@ class TimeLeft:
         return self._waited_s
 
 
-def _share(done: float, total: float) -> float:
-    return 1.0 if total <= 0 else min(1.0, max(0.0, done / total))
+def _share(num_done: float, total: float) -> float:
+    return 1.0 if total <= 0 else min(1.0, max(0.0, num_done / total))

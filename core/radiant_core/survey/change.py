@@ -6,7 +6,7 @@ The gain g of each channel is the median ratio of both dates in the neighbourhoo
 light differ from date to date, and slowly over the ground. Each mask is opened, so that slivers
 along walls and leaves fall away; connected cells are patches. Those below `min_area` are dropped,
 and those of colour alone below twice of it: a badly seen car is one. Only cells that enough
-photographs saw at both dates are compared (`DateRasters.known`). H, W cells.
+photographs saw at both dates are compared (`DateRasters.is_known`). H, W cells.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ class DateRasters:
 
     heights: HeightMap
     image: NDArray[np.uint8]
-    known: NDArray[np.bool_]
+    is_known: NDArray[np.bool_]
 
     @staticmethod
     def of(heights: HeightMap, tile: OrthoTile) -> DateRasters:
         """Heights and an orthophoto, known where at least `VIEWS_SHARE` of the usual number of
         photographs saw it: towards the rim of a flight models are made of few."""
-        usual = float(np.median(tile.views[tile.known])) if tile.known.any() else 0.0
-        return DateRasters(heights=heights, image=tile.image, known=tile.known & (tile.views >= VIEWS_SHARE * usual))
+        usual = float(np.median(tile.views[tile.is_known])) if tile.is_known.any() else 0.0
+        return DateRasters(heights=heights, image=tile.image, is_known=tile.is_known & (tile.views >= VIEWS_SHARE * usual))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,17 +91,17 @@ def find_change(older: DateRasters, newer: DateRasters, gsd: float, min_area: fl
     grid = older.heights.grid
     if not (older.image.shape == newer.image.shape == (*grid.shape, 3) and newer.heights.grid.shape == grid.shape):
         raise BadInput(f"rasters of {older.image.shape} and {newer.image.shape} came, expected two of one grid.")
-    seen = older.known & newer.known
+    is_known = older.is_known & newer.is_known
     measured = (older.heights.source == 1) & (newer.heights.source == 1)
-    if not (seen | measured).any():
+    if not (is_known | measured).any():
         raise BadInput("no cell is known at both dates: the two runs show different ground.")
     rise = np.where(measured, newer.heights.heights - older.heights.heights, np.nan)
     sigma = np.hypot(older.heights.sigma, newer.heights.sigma)
     with np.errstate(invalid="ignore"):
         higher = measured & (np.abs(rise) > np.maximum(HEIGHT_GSD * gsd, HEIGHT_SIGMAS * sigma))
-    color = color_difference(older.image, newer.image, seen)
-    usual = float(np.median(color[seen])) if seen.any() else 0.0
-    by_height, by_color = _cleaned(higher), _cleaned(seen & (color > max(COLOR_LEVELS, COLOR_SPREADS * usual)))
+    color = color_difference(older.image, newer.image, is_known)
+    usual = float(np.median(color[is_known])) if is_known.any() else 0.0
+    by_height, by_color = _cleaned(higher), _cleaned(is_known & (color > max(COLOR_LEVELS, COLOR_SPREADS * usual)))
     least = MIN_AREA_GSD2 * gsd**2 if min_area is None else min_area
     patches = _patches(by_height, by_color, rise, color, grid, least)
     return Change(
@@ -110,35 +110,35 @@ def find_change(older: DateRasters, newer: DateRasters, gsd: float, min_area: fl
         by_color=by_color,
         height_change=rise,
         color_change=color,
-        comparable=seen & measured,
+        comparable=is_known & measured,
         patches=tuple(sorted(patches, key=lambda patch: -patch.area)),
     )
 
 
-def color_difference(older: NDArray[np.uint8], newer: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+def color_difference(older: NDArray[np.uint8], newer: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Difference of two pictures (H,W,3) in levels (H,W), the largest of the channels, after the
-    newer's light is made the older's; 0 where not seen (H,W)."""
-    one, other = (_blurred(image, seen) for image in (older, newer))
-    gain = _gain(one, other, seen)
-    return np.where(seen, np.abs(one - gain * other).max(axis=-1), 0).astype(np.float32)
+    newer's light is made the older's; 0 outside the mask (H,W)."""
+    old, new = (_blurred(image, mask) for image in (older, newer))
+    gain = _gain(old, new, mask)
+    return np.where(mask, np.abs(old - gain * new).max(axis=-1), 0).astype(np.float32)
 
 
-def _blurred(image: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Means of the seen cells around."""
-    weight = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), BLUR_CELLS)
-    sums = cv2.GaussianBlur(np.where(seen[..., None], image, 0).astype(np.float32), (0, 0), BLUR_CELLS)
+def _blurred(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Means of the cells around that the mask has."""
+    weight = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), BLUR_CELLS)
+    sums = cv2.GaussianBlur(np.where(mask[..., None], image, 0).astype(np.float32), (0, 0), BLUR_CELLS)
     return (sums / np.maximum(weight, 1e-3)[..., None]).astype(np.float32)
 
 
-def _gain(one: NDArray[np.float32], other: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Gain (H,W,3) that makes `other` as bright as `one`: medians of the ratio over squares of the
-    raster, smoothly joined; a house that changed is no median of 20 × 20 m."""
-    height, width = seen.shape
+def _gain(older: NDArray[np.float32], newer: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Gain (H,W,3) that makes `newer` as bright as `older`: medians of the ratio over squares of
+    the raster, smoothly joined; a house that changed is no median of 20 × 20 m."""
+    height, width = mask.shape
     side = max(8, int(LIGHT_SHARE * max(height, width)))
     rows, columns = -(-height // side), -(-width // side)
     with np.errstate(divide="ignore", invalid="ignore"):
-        logs = np.log(np.maximum(one, 1)) - np.log(np.maximum(other, 1))
-    whole = np.median(logs[seen], axis=0) if seen.any() else np.zeros(3)
+        logs = np.log(np.maximum(older, 1)) - np.log(np.maximum(newer, 1))
+    whole = np.median(logs[mask], axis=0) if mask.any() else np.zeros(3)
     coarse = np.empty((rows, columns, 3), np.float32)
     for row in range(rows):
         for column in range(columns):
@@ -147,7 +147,7 @@ def _gain(one: NDArray[np.float32], other: NDArray[np.float32], seen: NDArray[np
                 slice(max(0, int((row - 0.5) * side)), int((row + 1.5) * side)),
                 slice(max(0, int((column - 0.5) * side)), int((column + 1.5) * side)),
             )
-            chosen = logs[part][seen[part]]
+            chosen = logs[part][mask[part]]
             coarse[row, column] = np.median(chosen, axis=0) if len(chosen) > side * side / 4 else whole
     return np.exp(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)).astype(np.float32)
 
@@ -162,34 +162,34 @@ def _patches(
 ) -> list[Patch]:
     either = (by_height | by_color).astype(np.uint8)
     count, labels, figures, _ = cv2.connectedComponentsWithStats(either, connectivity=8)
-    found = []
+    patches = []
     for label in range(1, count):
         left, top, width, height, cells = figures[label].tolist()
         part = (slice(top, top + height), slice(left, left + width))
-        own = labels[part] == label
-        high, low = by_height[part][own].mean(), by_color[part][own].mean()
+        inside = labels[part] == label
+        high, low = by_height[part][inside].mean(), by_color[part][inside].mean()
         kind: Kind = "both" if min(high, low) > 0.25 else ("height" if high >= low else "colour")
         if cells * grid.cell**2 < min_area * (COLOR_AREAS if kind == "colour" else 1.0):
             continue
-        rises = rise[part][own]
-        known = rises[np.isfinite(rises)]
-        found.append(
+        rises = rise[part][inside]
+        finite = rises[np.isfinite(rises)]
+        patches.append(
             Patch(
                 kind=kind,
-                outline=_outline(own, grid, (top, left)),
+                outline=_outline(inside, grid, (top, left)),
                 area=cells * grid.cell**2,
-                height_change=float(np.median(known)) if len(known) else float("nan"),
+                height_change=float(np.median(finite)) if len(finite) else float("nan"),
                 # Cells without a height count as the mean of those that have one.
-                volume=float(known.mean()) * cells * grid.cell**2 if len(known) else float("nan"),
-                color_change=float(np.median(color[part][own])),
+                volume=float(finite.mean()) * cells * grid.cell**2 if len(finite) else float("nan"),
+                color_change=float(np.median(color[part][inside])),
             )
         )
-    return found
+    return patches
 
 
-def _outline(own: NDArray[np.bool_], grid: MapGrid, corner: tuple[int, int]) -> FloatArray:
+def _outline(mask: NDArray[np.bool_], grid: MapGrid, corner: tuple[int, int]) -> FloatArray:
     """The outer border of a patch (K,2) on the map, simplified to half a cell."""
-    lines, _ = cv2.findContours(np.pad(own, 1).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    lines, _ = cv2.findContours(np.pad(mask, 1).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     line = cv2.approxPolyDP(max(lines, key=len), 0.7, True)[:, 0].astype(np.float64) - 1
     cells = line + np.array([corner[1], corner[0]]) + 0.5
     if len(cells) < 3:

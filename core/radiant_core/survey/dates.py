@@ -81,9 +81,9 @@ def levelled(older: HeightMap, newer: HeightMap) -> tuple[HeightMap, FloatArray]
     differences = (newer.heights - older.heights)[common]
     plane = np.array([np.median(differences), 0.0, 0.0])
     for _ in range(NUM_ROUNDS):
-        left = differences - design @ plane
-        scale = max(_SIGMA_OF_MAD * float(np.median(np.abs(left))), 1e-6)
-        weights = 1 / np.square(1 + np.square(left / (ROBUST_SIGMAS * scale)))
+        residuals = differences - design @ plane
+        scale = max(_SIGMA_OF_MAD * float(np.median(np.abs(residuals))), 1e-6)
+        weights = 1 / np.square(1 + np.square(residuals / (ROBUST_SIGMAS * scale)))
         plane = np.linalg.lstsq(design * weights[:, None], differences * weights, rcond=None)[0]
     every = np.indices((height, width)).reshape(2, -1)
     whole = _design(every[0], every[1], cell, (height, width)) @ plane

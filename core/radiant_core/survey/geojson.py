@@ -18,8 +18,8 @@ DEGREE_DIGITS, UNIT_DIGITS = 9, 4
 
 def to_geojson(map_frame: MapFrame, features: Sequence[Mapping[str, Any]], about: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """A collection of features, and what stands beside them."""
-    known = {} if map_frame.system is not None else {"coordinates": "the model's own, not longitude and latitude"}
-    return {"type": "FeatureCollection", "features": list(features), **known, **(about or {})}
+    note = {} if map_frame.system is not None else {"coordinates": "the model's own, not longitude and latitude"}
+    return {"type": "FeatureCollection", "features": list(features), **note, **(about or {})}
 
 
 def coordinates_of(map_frame: MapFrame, places: FloatArray) -> list[list[float]]:

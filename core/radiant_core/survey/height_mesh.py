@@ -32,11 +32,11 @@ def height_mesh(surface: HeightMap, offset: FloatArray, max_vertices: int = MAX_
     step = int(np.ceil(np.sqrt(max(1.0, rows * columns / max_vertices))))
     heights = np.where(surface.source != UNKNOWN, surface.heights, np.nan)[::step, ::step]
     east, north = (axis[::step] for axis in surface.grid.centers())
-    known = np.isfinite(heights)
+    is_finite = np.isfinite(heights)
     number = np.full(heights.shape, -1)
-    number[known] = np.arange(known.sum())
-    at, across = np.nonzero(known)
-    vertices = np.column_stack([east[across], north[at], heights[known]]) - offset
+    number[is_finite] = np.arange(is_finite.sum())
+    at, across = np.nonzero(is_finite)
+    vertices = np.column_stack([east[across], north[at], heights[is_finite]]) - offset
     uv = np.column_stack([(across * step + 0.5) / columns, 1 - (at * step + 0.5) / rows])
     nw, ne, sw, se = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
     whole = (nw >= 0) & (ne >= 0) & (sw >= 0) & (se >= 0)

@@ -50,7 +50,7 @@ class HeightMap:
         return float((self.source == MEASURED).mean())
 
     @property
-    def known(self) -> float:
+    def known_share(self) -> float:
         """Share of the cells that were measured or filled."""
         return float((self.source != UNKNOWN).mean())
 
@@ -101,12 +101,12 @@ def height_map(points: FloatArray, grid: MapGrid, gsd: float, shared_error: floa
     raster = _scattered(grid, owners, top + mean)
     counted = _scattered(grid, owners, number.astype(np.float64))
     lone = (counted < LONE_POINTS) & (np.abs(raster - _local_median(raster)) > LONE_GSD * gsd)
-    kept = np.isfinite(raster) & ~lone
+    reliable = np.isfinite(raster) & ~lone
     return HeightMap(
         grid=grid,
-        heights=np.where(kept, raster, np.nan),
-        sigma=np.where(kept, _scattered(grid, owners, sigma), np.nan).astype(np.float32),
-        source=np.where(kept, MEASURED, UNKNOWN).astype(np.uint8),
+        heights=np.where(reliable, raster, np.nan),
+        sigma=np.where(reliable, _scattered(grid, owners, sigma), np.nan).astype(np.float32),
+        source=np.where(reliable, MEASURED, UNKNOWN).astype(np.uint8),
     )
 
 
@@ -131,11 +131,11 @@ def filled(surface: HeightMap, within: NDArray[np.bool_] | None = None, reach_ce
     )
 
 
-def push_pull(values: NDArray[np.float32], known: NDArray[np.bool_], floor: int = 0) -> NDArray[np.float32]:
+def push_pull(values: NDArray[np.float32], is_known: NDArray[np.bool_], floor: int = 0) -> NDArray[np.float32]:
     """Values (H,W) everywhere: those known, and elsewhere the mean of the smallest square of 2, 4,
     8 … cells' side, smoothly joined, that holds known ones. `floor`: squares below 2^floor are
     averaged even where known."""
-    weight = known.astype(np.float32)
+    weight = is_known.astype(np.float32)
     sums = values * weight
     pyramid: list[tuple[NDArray[Any], NDArray[Any]]] = [(sums, weight)]
     while max(pyramid[-1][0].shape) > 1:
@@ -147,9 +147,9 @@ def push_pull(values: NDArray[np.float32], known: NDArray[np.bool_], floor: int 
     for depth, (total, share) in zip(reversed(range(len(pyramid))), reversed(pyramid), strict=True):
         size = total.shape[1], total.shape[0]
         coarser = np.asarray(cv2.resize(result, size, interpolation=cv2.INTER_LINEAR), np.float32).reshape(total.shape)
-        own = total / np.maximum(share, 1e-6)
+        level_mean = total / np.maximum(share, 1e-6)
         part = np.minimum(share, 1) if depth >= floor else np.zeros_like(share)
-        result = np.where(share > 0, part * own + (1 - part) * coarser, coarser).astype(np.float32)
+        result = np.where(share > 0, part * level_mean + (1 - part) * coarser, coarser).astype(np.float32)
     return result
 
 
@@ -167,7 +167,7 @@ def _scattered(grid: MapGrid, owners: NDArray[np.int64], values: FloatArray) -> 
 
 def _local_median(raster: FloatArray) -> NDArray[Any]:
     """Median of 5 × 5 cells (H,W), unknown ones taking part as filled from around."""
-    known = np.isfinite(raster)
+    is_finite = np.isfinite(raster)
     level = float(np.nanmedian(raster))
-    whole = push_pull(np.where(known, raster - level, 0).astype(np.float32), known)
+    whole = push_pull(np.where(is_finite, raster - level, 0).astype(np.float32), is_finite)
     return cv2.medianBlur(whole, 5).astype(np.float64) + level

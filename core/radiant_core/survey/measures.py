@@ -77,15 +77,15 @@ class Measured:
 def require_measure(kind: MeasureKind, places: ArrayLike, base: float | None = None) -> FloatArray:
     """The places (P,2 or 3) of a measure, before there is a surface: BadInput for what `measure`
     refuses of them and of its base on any surface."""
-    given = np.asarray(places, np.float64)
-    if given.ndim != 2 or given.shape[1] not in (2, 3) or not np.isfinite(given[:, :2]).all() or np.isinf(given).any():
-        raise BadInput(f"places of shape {given.shape} came, expected (P, 2) or (P, 3) of finite numbers: east, north and perhaps height.")
+    coords = np.asarray(places, np.float64)
+    if coords.ndim != 2 or coords.shape[1] not in (2, 3) or not np.isfinite(coords[:, :2]).all() or np.isinf(coords).any():
+        raise BadInput(f"places of shape {coords.shape} came, expected (P, 2) or (P, 3) of finite numbers: east, north and perhaps height.")
     least, words = NUM_PLACES[kind]
-    if len(given) < least or (kind == "height" and len(given) != 2):
-        raise BadInput(f"{len(given)} places were given, and {kind} takes {words}.")
+    if len(coords) < least or (kind == "height" and len(coords) != 2):
+        raise BadInput(f"{len(coords)} places were given, and {kind} takes {words}.")
     if base is not None and not (np.isfinite(base) and kind == "volume"):
         raise BadInput(f"a base of {base} came with {kind}: it is the finite height of the plane of a volume.")
-    return given
+    return coords
 
 
 def measure(
@@ -104,8 +104,8 @@ def measure(
     Raises BadInput for too few places, places that are not finite, off the surface or where it is
     unknown, and outlines that cross themselves or span nothing.
     """
-    given = require_measure(kind, places, base)
-    points, deviations = _on_surface(given, surface, None if sigmas is None else np.asarray(sigmas, np.float64))
+    coords = require_measure(kind, places, base)
+    points, deviations = _on_surface(coords, surface, None if sigmas is None else np.asarray(sigmas, np.float64))
     if kind == "distance":
         return _distance(points, deviations, accuracy)
     if kind == "height":
@@ -140,24 +140,24 @@ def measure_places(kind: MeasureKind, places: ArrayLike, sigmas: ArrayLike, accu
     )
 
 
-def _on_surface(given: FloatArray, surface: HeightMap, of_given: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+def _on_surface(coords: FloatArray, surface: HeightMap, of_given: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Places (P,3) and σ (P,) of their heights; a given height has its own, else that of the
     surface there, or its usual one."""
-    heights, sigmas = surface.at(given[:, :2])
-    asked = given[:, 2] if given.shape[1] == 3 else np.full(len(given), np.nan)
-    is_given = np.isfinite(asked)
+    heights, sigmas = surface.at(coords[:, :2])
+    listed_heights = coords[:, 2] if coords.shape[1] == 3 else np.full(len(coords), np.nan)
+    is_given = np.isfinite(listed_heights)
     unknown = ~is_given & ~np.isfinite(heights)
     if unknown.any():
         row = int(np.argmax(unknown))
         raise BadInput(
-            f"the surface is not known at place {row + 1}, {given[row, 0]:.3f}, {given[row, 1]:.3f}: give its height, or another place."
+            f"the surface is not known at place {row + 1}, {coords[row, 0]:.3f}, {coords[row, 1]:.3f}: give its height, or another place."
         )
     if of_given is None:
         usual = float(np.nanmedian(surface.sigma)) if (surface.source != UNKNOWN).any() else 0.0
         of_given = np.where(np.isfinite(sigmas), sigmas, usual)
-    elif of_given.shape != (len(given),) or not (np.isfinite(of_given[is_given]).all() and (of_given[is_given] >= 0).all()):
-        raise BadInput(f"σ of heights of shape {of_given.shape} came, expected ({len(given)},) from zero on.")
-    return np.column_stack([given[:, :2], np.where(is_given, asked, heights)]), np.where(is_given, of_given, sigmas)
+    elif of_given.shape != (len(coords),) or not (np.isfinite(of_given[is_given]).all() and (of_given[is_given] >= 0).all()):
+        raise BadInput(f"σ of heights of shape {of_given.shape} came, expected ({len(coords)},) from zero on.")
+    return np.column_stack([coords[:, :2], np.where(is_given, listed_heights, heights)]), np.where(is_given, of_given, sigmas)
 
 
 def _height(points: FloatArray, sigmas: FloatArray, accuracy: Accuracy) -> Measured:
@@ -195,16 +195,16 @@ def _profile(points: FloatArray, surface: HeightMap, accuracy: Accuracy) -> Meas
     at = np.linspace(0, along[-1], max(2, count))
     places = np.column_stack([np.interp(at, along, points[:, axis]) for axis in (0, 1)])
     heights, sigmas = surface.at(places)
-    known = np.isfinite(heights)
-    if not known.any():
+    is_finite = np.isfinite(heights)
+    if not is_finite.any():
         raise BadInput("the surface is not known anywhere along the line: draw it over the ground that was seen.")
-    rise, length = float(np.ptp(heights[known])), float(along[-1])
+    rise, length = float(np.ptp(heights[is_finite])), float(along[-1])
     figures = (
         Figure(name="length", value=length, sigma=float(np.hypot(np.sqrt(2) * accuracy.place, accuracy.scale * length)), power=1),
         Figure(
             name="highest above lowest",
             value=rise,
-            sigma=float(np.hypot(np.sqrt(2) * np.median(sigmas[known]), accuracy.scale * rise)),
+            sigma=float(np.hypot(np.sqrt(2) * np.median(sigmas[is_finite]), accuracy.scale * rise)),
             power=1,
         ),
     )
@@ -274,21 +274,21 @@ def _area(outline: Outline, surface: HeightMap, accuracy: Accuracy) -> Measured:
 
 def _volume(outline: Outline, surface: HeightMap, accuracy: Accuracy, base: float | None) -> Measured:
     heights, sigmas = outline.part(surface.heights), outline.part(surface.sigma)
-    known = np.isfinite(heights) & (outline.cover > 0)
+    is_finite = np.isfinite(heights) & (outline.cover > 0)
     unknown = float(outline.cover[~np.isfinite(heights)].sum() / outline.cover.sum())
     if unknown > 0.05:
         raise BadInput(f"the surface is not known in {100 * unknown:.2g} % of the outline, at most 5 % may be open: draw another one.")
     above = heights - _plane(outline, surface, base)
     # What little is open counts as the mean of the rest.
-    scale = outline.cover.sum() / outline.cover[known].sum()
-    cell_area = scale * surface.grid.cell**2 * outline.cover[known]
-    raised, sunk = float((np.maximum(above[known], 0) * cell_area).sum()), float((np.maximum(-above[known], 0) * cell_area).sum())
-    spread = float(np.sqrt(SHARED) * np.average(sigmas[known], weights=outline.cover[known]))
+    scale = outline.cover.sum() / outline.cover[is_finite].sum()
+    cell_area = scale * surface.grid.cell**2 * outline.cover[is_finite]
+    raised, sunk = float((np.maximum(above[is_finite], 0) * cell_area).sum()), float((np.maximum(-above[is_finite], 0) * cell_area).sum())
+    spread = float(np.sqrt(SHARED) * np.average(sigmas[is_finite], weights=outline.cover[is_finite]))
     figures = []
     for name, value, area in (
         ("volume", raised - sunk, outline.area),
-        ("above the plane", raised, float(cell_area[above[known] > 0].sum())),
-        ("below the plane", sunk, float(cell_area[above[known] < 0].sum())),
+        ("above the plane", raised, float(cell_area[above[is_finite] > 0].sum())),
+        ("below the plane", sunk, float(cell_area[above[is_finite] < 0].sum())),
     ):
         figures.append(Figure(name=name, value=value, sigma=float(np.hypot(spread * area, 3 * accuracy.scale * value)), power=3))
     return Measured(kind="volume", places=outline.points, figures=tuple(figures), filled=_filled_within(outline, surface))

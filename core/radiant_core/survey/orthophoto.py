@@ -48,13 +48,13 @@ class OrthoTile:
     vouches for its place; height (H,W) float32 of the world, NaN where not known."""
 
     image: NDArray[np.uint8]
-    known: NDArray[np.bool_]
+    is_known: NDArray[np.bool_]
     views: NDArray[np.uint8]
     height: NDArray[np.float32]
 
     def bands(self) -> NDArray[np.uint8]:
         """Red, green, blue, alpha (0 or 255) and views (H,W,5)."""
-        return np.dstack([self.image, np.where(self.known, 255, 0).astype(np.uint8), self.views])
+        return np.dstack([self.image, np.where(self.is_known, 255, 0).astype(np.uint8), self.views])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,10 +76,10 @@ def from_above(splats: Splats, support: Support, cameras: Cameras) -> SeenSplats
     from above is higher. Raises BadInput where none is, or no photograph saw them."""
     means = splats.means.astype(np.float64)
     nearest = KDTree(cameras.centers[:, :2]).query(means[:, :2])[1]
-    kept = (support.num_views > 0) & (means[:, 2] < cameras.centers[nearest, 2])
-    if not kept.any():
+    visible = (support.num_views > 0) & (means[:, 2] < cameras.centers[nearest, 2])
+    if not visible.any():
         raise BadInput("no Gaussian lies below the cameras: an orthophoto needs the run of a flight, with its own model.")
-    return SeenSplats(splats=splats, num_views=support.num_views, constrained=support.constrained()).select(kept)
+    return SeenSplats(splats=splats, num_views=support.num_views, constrained=support.constrained()).select(visible)
 
 
 def ortho_camera(grid: MapGrid, map_frame: MapFrame, level: float, corner: tuple[int, int], size_px: tuple[int, int]) -> Cameras:
@@ -103,29 +103,29 @@ def ortho_camera(grid: MapGrid, map_frame: MapFrame, level: float, corner: tuple
     return Cameras(names=("above",), Ks=K[None], cam_from_world=pose[None], sizes_wh=np.array([[width, height]], np.int64))
 
 
-def render_tile(seen: SeenSplats, camera: Cameras) -> OrthoTile:
+def render_tile(seen_splats: SeenSplats, camera: Cameras) -> OrthoTile:
     """One tile of the orthophoto by its camera."""
-    near = _within(seen, camera)
+    near = _within(seen_splats, camera)
     layers = _layers(near.select(near.constrained), camera)
     if (layers.alpha < MIN_ALPHA).any() and not near.constrained.all():
         layers = _filled(layers, _layers(near, camera))
-    known = layers.alpha >= MIN_ALPHA
+    is_known = layers.alpha >= MIN_ALPHA
     solid = np.maximum(layers.alpha, 1e-6)
     image = np.clip(np.rint(255 * layers.colors / solid[..., None]), 0, 255)
     return OrthoTile(
-        image=np.where(known[..., None], image, 0).astype(np.uint8),
-        known=known,
-        views=np.where(known, np.clip(np.rint(255 * layers.views / solid), 0, 255), 0).astype(np.uint8),
-        height=np.where(known, layers.low + layers.span * layers.heights / solid, np.nan).astype(np.float32),
+        image=np.where(is_known[..., None], image, 0).astype(np.uint8),
+        is_known=is_known,
+        views=np.where(is_known, np.clip(np.rint(255 * layers.views / solid), 0, 255), 0).astype(np.uint8),
+        height=np.where(is_known, layers.low + layers.span * layers.heights / solid, np.nan).astype(np.float32),
     )
 
 
-def ortho_tiles(seen: SeenSplats, grid: MapGrid, map_frame: MapFrame, level: float, tile_px: int) -> Iterator[OrthoTile]:
+def ortho_tiles(seen_splats: SeenSplats, grid: MapGrid, map_frame: MapFrame, level: float, tile_px: int) -> Iterator[OrthoTile]:
     """The tiles of a grid, row by row from the north-west, each `tile_px` wide and high: those at
     the east and the south reach beyond the grid."""
     for row in range(0, grid.rows, tile_px):
         for column in range(0, grid.columns, tile_px):
-            yield render_tile(seen, ortho_camera(grid, map_frame, level, (row, column), (tile_px, tile_px)))
+            yield render_tile(seen_splats, ortho_camera(grid, map_frame, level, (row, column), (tile_px, tile_px)))
 
 
 def painted(splats: Splats, figures: FloatArray) -> Splats:
@@ -156,8 +156,8 @@ def _filled(layers: _Layers, others: _Layers) -> _Layers:
     open_ = layers.alpha < MIN_ALPHA
 
     def chosen(name: str) -> NDArray[np.float32]:
-        one, other = getattr(layers, name), getattr(others, name)
-        return np.where(open_[..., None] if one.ndim == 3 else open_, other, one)
+        values, other_values = getattr(layers, name), getattr(others, name)
+        return np.where(open_[..., None] if values.ndim == 3 else open_, other_values, values)
 
     return _Layers(**{field.name: chosen(field.name) for field in fields(_Layers)})
 
@@ -171,18 +171,18 @@ def _layers(near: SeenSplats, camera: Cameras) -> _Layers:
     heights = near.splats.means[:, 2].astype(np.float64)
     low, span = float(heights.min()), max(float(np.ptp(heights)), 1e-6)
     figures = np.column_stack([np.minimum(near.num_views, 255) / 255, (heights - low) / span, np.zeros(len(heights))])
-    drawn, _ = _render(painted(near.splats, figures), camera)
-    return _Layers(colors=colors, alpha=alpha, views=drawn[..., 0], heights=drawn[..., 1], low=nothing + low, span=nothing + span)
+    rendered, _ = _render(painted(near.splats, figures), camera)
+    return _Layers(colors=colors, alpha=alpha, views=rendered[..., 0], heights=rendered[..., 1], low=nothing + low, span=nothing + span)
 
 
-def _within(seen: SeenSplats, camera: Cameras) -> SeenSplats:
+def _within(seen_splats: SeenSplats, camera: Cameras) -> SeenSplats:
     """The Gaussians that may reach the picture: all others would only be looked at for nothing."""
     focal, (width, height) = float(camera.Ks[0, 0, 0]), camera.sizes_wh[0].tolist()
     pose = camera.cam_from_world[0]
-    away_px = (seen.splats.means.astype(np.float64) @ pose[:2, :3].T + pose[:2, 3]) * focal / DISTANCE
-    radius_px = REACH_SIGMAS * np.exp(seen.splats.log_scales.max(axis=1).astype(np.float64)) * focal / DISTANCE + MARGIN_PX
-    kept = np.asarray((np.abs(away_px) <= np.array([width / 2, height / 2]) + radius_px[:, None]).all(axis=1))
-    return seen.select(kept)
+    away_px = (seen_splats.splats.means.astype(np.float64) @ pose[:2, :3].T + pose[:2, 3]) * focal / DISTANCE
+    radius_px = REACH_SIGMAS * np.exp(seen_splats.splats.log_scales.max(axis=1).astype(np.float64)) * focal / DISTANCE + MARGIN_PX
+    near = np.asarray((np.abs(away_px) <= np.array([width / 2, height / 2]) + radius_px[:, None]).all(axis=1))
+    return seen_splats.select(near)
 
 
 def _render(splats: Splats, camera: Cameras) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -79,6 +79,6 @@ def _usual_depth(scene: SfmScene) -> float:
         in_camera = scene.points @ pose[:3, :3].T + pose[:3, 3]
         front = in_camera[in_camera[:, 2] > 0]
         pixels = (front @ K.T)[:, :2] / front[:, 2:]
-        shown = ((pixels > 0) & (pixels < scene.cameras.sizes_wh[index])).all(axis=1)
-        depths += [float(np.median(front[shown, 2]))] if shown.any() else []
+        inside = ((pixels > 0) & (pixels < scene.cameras.sizes_wh[index])).all(axis=1)
+        depths += [float(np.median(front[inside, 2]))] if inside.any() else []
     return float(np.median(depths)) if depths else 0.0

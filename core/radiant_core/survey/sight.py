@@ -26,10 +26,10 @@ def first_hit(surface: HeightMap, eye: FloatArray, through: FloatArray) -> Float
     if not length > 0:
         raise BadInput("a look from a place to itself has no direction: click anew.")
     along = (through - eye) / length
-    known = surface.heights[np.isfinite(surface.heights)]
-    if not len(known):
+    heights = surface.heights[np.isfinite(surface.heights)]
+    if not len(heights):
         return np.full(3, np.nan)
-    near, far = _span(surface, eye, along, (float(known.min()), float(known.max())))
+    near, far = _span(surface, eye, along, (float(heights.min()), float(heights.max())))
     if not 0 < far - near < MAX_STEPS * surface.grid.cell:
         return np.full(3, np.nan)
     count = int(np.ceil((far - near) / (surface.grid.cell / 2))) + 1

@@ -45,7 +45,7 @@ def points_of_photographs(scene: SfmScene, views: TrainingViews, *, num_threads:
     views = smaller_views(views)
     partners = choose_sources(scene, NUM_CHECKED)
     total = 2 * len(views)
-    maps = depth_maps(scene, views, partners, seed=0, num_threads=num_threads, report=lambda done: report(done, total))
+    maps = depth_maps(scene, views, partners, seed=0, num_threads=num_threads, report=lambda num_done: report(num_done, total))
     return _agreed(maps, views.cameras, partners, views.images, report)
 
 
@@ -64,13 +64,13 @@ def points_of_model(splats: Splats, scene: SfmScene, long_side_px: int, reach: f
 
 def planes_of_depth(depth: NDArray[np.float32]) -> DepthPlanes:
     """The planes of a depth map (H,W), 0 where nothing is known, at every STRIDE_PX-th pixel."""
-    known = depth > 0
-    w = np.where(known, 1 / np.where(known, depth, 1), 0).astype(np.float32)
+    valid = depth > 0
+    w = np.where(valid, 1 / np.where(valid, depth, 1), 0).astype(np.float32)
     slopes = [cv2.filter2D(w, cv2.CV_32F, kernel) for kernel in (np.array([[-0.5, 0, 0.5]]), np.array([[-0.5], [0], [0.5]]))]
     # A slope next to nothing known would be one into the sky.
-    inner = cv2.erode(known.astype(np.uint8), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    inner = cv2.erode(valid.astype(np.uint8), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
     planes = np.stack([w, *(np.where(inner, slope, 0) for slope in slopes)])[:, ::STRIDE_PX, ::STRIDE_PX]
-    costs = np.where(known, 0, 2).astype(np.float32)[::STRIDE_PX, ::STRIDE_PX]
+    costs = np.where(valid, 0, 2).astype(np.float32)[::STRIDE_PX, ::STRIDE_PX]
     return DepthPlanes(planes=np.ascontiguousarray(planes, np.float32), costs=costs, first=0, step=STRIDE_PX)
 
 
@@ -97,14 +97,14 @@ def _agreed(
 ) -> Iterator[DensePoints]:
     if not any(len(others) > 1 for others in partners):
         raise BadInput("no photograph shares points with two others, so no height can be checked: add photographs that overlap.")
-    for index, own in enumerate(maps):
+    for index, planes in enumerate(maps):
         report(len(maps) + index, 2 * len(maps))
-        if own is None:
+        if planes is None:
             continue
         width, height = cameras.sizes_wh[index].tolist()
-        asked = list(maps)
-        asked[index] = own if own.step == STRIDE_PX else finer(own, (height, width))
-        yield agreed_points(asked, cameras, index, partners[index], images[index])
+        refined_maps = list(maps)
+        refined_maps[index] = planes if planes.step == STRIDE_PX else finer(planes, (height, width))
+        yield agreed_points(refined_maps, cameras, index, partners[index], images[index])
 
 
 def _partners(scene: SfmScene) -> Sequence[NDArray[np.int64]]:

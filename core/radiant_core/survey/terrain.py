@@ -35,13 +35,13 @@ MIN_LINE_CELLS = 8
 def terrain(surface: HeightMap, gsd: float, max_object: float = MAX_OBJECT) -> HeightMap:
     """The ground of a surface: objects narrower than `max_object` are taken out and filled, marked
     as filled. Raises BadInput where nothing is known."""
-    known = surface.source != UNKNOWN
-    if not known.any():
+    is_known = surface.source != UNKNOWN
+    if not is_known.any():
         raise BadInput("no cell of the surface is known, so there is no terrain: look at the surface model first.")
     level = float(np.nanmedian(surface.heights))
-    whole = push_pull(np.where(known, surface.heights - level, 0).astype(np.float32), known)
+    whole = push_pull(np.where(is_known, surface.heights - level, 0).astype(np.float32), is_known)
     cell = surface.grid.cell
-    objects = np.zeros(known.shape, bool)
+    objects = np.zeros(is_known.shape, bool)
     ground = whole
     radii = np.unique(np.rint(np.geomspace(1, max(2.0, max_object / 2 / cell), NUM_RADII)).astype(int))
     for before, radius in zip([0, *radii[:-1]], radii, strict=True):
@@ -58,7 +58,7 @@ def terrain(surface: HeightMap, gsd: float, max_object: float = MAX_OBJECT) -> H
     )
     # Whatever was filled before is as good a support as any: it is a mean of measured cells.
     support = replace(bare, source=np.where(bare.source == FILLED, 1, bare.source).astype(np.uint8))
-    closed = filled(support, known, int(np.ceil(max_object / cell)))
+    closed = filled(support, is_known, int(np.ceil(max_object / cell)))
     return replace(closed, source=np.where((bare.source == FILLED) & ~objects, FILLED, closed.source).astype(np.uint8))
 
 
@@ -83,19 +83,19 @@ def contours(surface: HeightMap, interval: float) -> list[Contour]:
     """
     if not (np.isfinite(interval) and interval > 0):
         raise BadInput(f"an interval of {interval} came, expected a number above zero.")
-    known = surface.source != UNKNOWN
-    if not known.any():
+    is_known = surface.source != UNKNOWN
+    if not is_known.any():
         return []
     low, high = float(np.nanmin(surface.heights)), float(np.nanmax(surface.heights))
     first, last = int(np.ceil(low / interval)), int(np.floor(high / interval))
     if last - first >= MAX_LEVELS:
         raise BadInput(f"an interval of {interval} gives {last - first + 1} levels, more than {MAX_LEVELS}: choose a larger one.")
     east, north = surface.grid.centers()
-    generator = contour_generator(x=east, y=north, z=np.ma.masked_invalid(np.where(known, surface.heights, np.nan)))
-    found = []
+    generator = contour_generator(x=east, y=north, z=np.ma.masked_invalid(np.where(is_known, surface.heights, np.nan)))
+    lines = []
     for number in range(first, last + 1):
         for line in generator.lines(number * interval):
             points = np.asarray(line, np.float64)
             if np.linalg.norm(np.diff(points, axis=0), axis=1).sum() >= MIN_LINE_CELLS * surface.grid.cell:
-                found.append(Contour(height=number * interval, line=points))
-    return found
+                lines.append(Contour(height=number * interval, line=points))
+    return lines

@@ -35,8 +35,8 @@ MAX_SHARE = 0.05
 
 def training_key(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> str:
     """Hash of all that determines the bits: settings, first model, views, renderer, version."""
-    shown = [None if part is None else [part.cameras, *map(_hashes, (part.images, part.weights))] for part in (views, options.validation)]
-    return content_key(__version__, config, options.steps, options.extent, resolve_backend(options.backend), initial.arrays(), shown)
+    inputs = [None if part is None else [part.cameras, *map(_hashes, (part.images, part.weights))] for part in (views, options.validation)]
+    return content_key(__version__, config, options.steps, options.extent, resolve_backend(options.backend), initial.arrays(), inputs)
 
 
 def _hashes(images: Images | None) -> list[str] | None:
@@ -142,10 +142,10 @@ class CheckpointFolder:
         """Remove the checkpoints of other runs, and those whose record is damaged."""
         for saved in self._list_saved():
             try:
-                own = read_json(saved.record, ("key",))["key"] == self._key
+                is_same_run = read_json(saved.record, ("key",))["key"] == self._key
             except RadiantError:
-                own = False
-            if not own:
+                is_same_run = False
+            if not is_same_run:
                 saved.remove()
 
     def _save(self, step: int, state: TrainState) -> None:
@@ -161,8 +161,8 @@ class CheckpointFolder:
 
     def _list_saved(self) -> list[_Saved]:
         """What has a record, the newest first."""
-        found = [_Saved(record=path) for path in self.folder.glob("step-*.json") if path.stem.removeprefix("step-").isdecimal()]
-        return sorted(found, key=lambda saved: saved.step, reverse=True)
+        checkpoints = [_Saved(record=path) for path in self.folder.glob("step-*.json") if path.stem.removeprefix("step-").isdecimal()]
+        return sorted(checkpoints, key=lambda saved: saved.step, reverse=True)
 
     def _clean(self) -> None:
         """Remove what a kill left half-written: temporary files, and arrays without a record."""

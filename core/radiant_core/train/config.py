@@ -291,7 +291,7 @@ def with_settings(config: TrainConfig, settings: Mapping[str, Any]) -> TrainConf
     values = {path: parse_setting(path, value) for path, value in settings.items()}
     density = densification_of(values.pop("density.kind", config.density.kind), config.density)
     knobs = {path.removeprefix("density."): values.pop(path) for path in list(values) if path.startswith("density.")}
-    names = [own.name for own in fields(density)]
+    names = [item.name for item in fields(density)]
     for name in knobs:
         if name not in names:
             raise BadInput(f"density.{name} is no setting of {density.kind!r}: use one of {', '.join(names)}, or another density.kind.")

@@ -31,17 +31,19 @@ def device_statistics(target: Tensor) -> tuple[Tensor, Tensor]:
     return means, variances
 
 
-def device_loss(image: Tensor, known: tuple[Tensor, Tensor, Tensor], weights: Tensor | None, ssim_weight: float) -> Tensor:
-    """`losses.weighted_loss` of image and target (H,W,3); `known` are the target and its
+def device_loss(image: Tensor, target_moments: tuple[Tensor, Tensor, Tensor], weights: Tensor | None, ssim_weight: float) -> Tensor:
+    """`losses.weighted_loss` of image and target (H,W,3); `target_moments` are the target and its
     `device_statistics`; weights (H,W), or ones for None."""
-    loss: Tensor = _DeviceLoss.apply(image, known, weights, ssim_weight)
+    loss: Tensor = _DeviceLoss.apply(image, target_moments, weights, ssim_weight)
     return loss
 
 
 class _DeviceLoss(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, image: Tensor, known: tuple[Tensor, Tensor, Tensor], weights: Tensor | None, ssim_weight: float) -> Tensor:
-        y, mean_y, var_y = (planes.permute(2, 0, 1) for planes in known)
+    def forward(
+        ctx: Any, image: Tensor, target_moments: tuple[Tensor, Tensor, Tensor], weights: Tensor | None, ssim_weight: float
+    ) -> Tensor:
+        y, mean_y, var_y = (planes.permute(2, 0, 1) for planes in target_moments)
         d = image.detach().permute(2, 0, 1) - y
         # The share of each value in the mean: (1,1,1), or (H,W) over all three channels.
         share = d.new_full((1, 1, 1), 1 / d.numel()) if weights is None else weights / (3 * weights.sum().clamp_min(1e-6))

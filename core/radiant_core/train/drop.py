@@ -35,7 +35,7 @@ class DroppedGaussians(Part):
         if share <= 0:
             return splats
         logits = splats.logit_opacities
-        drawn = np.random.default_rng((self._seed, moment.step, 2)).random(len(splats), np.float32)
-        dropped = torch.from_numpy(drawn < share).to(logits.device)
+        uniforms = np.random.default_rng((self._seed, moment.step, 2)).random(len(splats), np.float32)
+        dropped = torch.from_numpy(uniforms < share).to(logits.device)
         opacities = (torch.sigmoid(logits) / (1 - share)).clamp(MIN_OPACITY, MAX_OPACITY)
         return replace(splats, logit_opacities=torch.where(dropped, logits.new_full((), DROPPED_LOGIT), torch.logit(opacities)))

@@ -52,7 +52,7 @@ class Trial:
     """A candidate to be trained without some photographs and scored on these."""
 
     config: TrainConfig
-    held: NDArray[np.bool_]
+    held_out: NDArray[np.bool_]
     """Which photographs are apart (V,)."""
     number: int
     """From 0, in the order of the trials."""
@@ -107,22 +107,22 @@ def choose_for_few(config: TrainConfig, views: TrainingViews, score: Score) -> C
         The configuration, whose `cross_validate` is "none", and a decision; no decision where the
         configuration does not ask.
     """
-    asked, plain = config.cross_validate, replace(config, cross_validate="none")
-    if asked == "none":
+    mode, plain = config.cross_validate, replace(config, cross_validate="none")
+    if mode == "none":
         return Choice(config=config)
     if why_not := _why_not(config, len(views)):
-        return Choice(config=plain, decisions=(_not_asked(asked, len(views), why_not),))
+        return Choice(config=plain, decisions=(_not_asked(mode, len(views), why_not),))
     parts = _parts(views)
     start = _by_number(plain, len(views))
     twice, half = (_resized(start, factor, views, parts) if _grows_by_pixels(plain, len(views)) else None for factor in (2.0, 0.5))
-    num_candidates = 1 + sum(own is not None for own in (twice, half)) + (plain.drop_gaussians == "auto")
+    num_candidates = 1 + sum(option is not None for option in (twice, half)) + (plain.drop_gaussians == "auto")
     if why_not := _why_not_these(parts, num_candidates):
-        return Choice(config=plain, decisions=(_not_asked(asked, len(views), why_not),))
+        return Choice(config=plain, decisions=(_not_asked(mode, len(views), why_not),))
     trials = _Trials(score=score, parts=parts, num_steps=most_steps(plain, len(views)), most=len(parts) * num_candidates)
     best, first = start, trials.ask(start)
     if first is None:
-        decision = _not_asked(asked, len(views), f"a training without some of them {trials.failure}")
-        return Choice(config=plain, decisions=(decision,), num_trials=trials.taken)
+        decision = _not_asked(mode, len(views), f"a training without some of them {trials.failure}")
+        return Choice(config=plain, decisions=(decision,), num_trials=trials.num_asked)
     figures, tried = first, []
     challenges: tuple[Callable[[TrainConfig], TrainConfig | None], ...] = (
         lambda best: twice,
@@ -132,23 +132,23 @@ def choose_for_few(config: TrainConfig, views: TrainingViews, score: Score) -> C
     for challenge in challenges:
         if (candidate := challenge(best)) is None:
             continue
-        own = trials.ask(candidate)
-        gain = float("nan") if own is None else float((own - figures).mean())
-        tried.append(f"{_words(candidate, views)} {trials.failure if own is None else f'{gain:+.2f} dB'}")
+        candidate_figures = trials.ask(candidate)
+        gain = float("nan") if candidate_figures is None else float((candidate_figures - figures).mean())
+        tried.append(f"{_words(candidate, views)} {trials.failure if candidate_figures is None else f'{gain:+.2f} dB'}")
         # NaN is no gain.
-        if own is not None and gain >= MIN_GAIN_DB:
-            best, figures = candidate, own
+        if candidate_figures is not None and gain >= MIN_GAIN_DB:
+            best, figures = candidate, candidate_figures
     decision = Decision(
         stage="train",
         topic=TOPIC,
         choice=_words(best, views) if best != start else f"{_words(best, views)}, as their number says",
         figure=float((figures - first).mean()),
         unit=f"dB over what the number of photographs says, on {len(first)} of {len(views)} in turn",
-        reason=f"{trials.taken} trainings without them, each candidate against the best before: {', '.join(tried)}; "
+        reason=f"{trials.num_asked} trainings without them, each candidate against the best before: {', '.join(tried)}; "
         f"from {MIN_GAIN_DB:g} dB on one is taken",
         row=require(PHOTOGRAPHS, {"photographs": len(views)}).row,
     )
-    return Choice(config=best if best != start else plain, decisions=(decision,), num_trials=trials.taken)
+    return Choice(config=best if best != start else plain, decisions=(decision,), num_trials=trials.num_asked)
 
 
 @dataclass(kw_only=True)
@@ -159,17 +159,17 @@ class _Trials:
     parts: Sequence[NDArray[np.bool_]]
     num_steps: int
     most: int
-    taken: int = 0
+    num_asked: int = 0
     failure: str = ""
     """Why the last one failed, if it did."""
 
     def ask(self, candidate: TrainConfig) -> FloatArray | None:
         """The figures of a candidate on all parts; None where a training of it failed."""
         config, figures = replace(candidate, num_steps=self.num_steps, max_epochs=None), []
-        for held in self.parts:
-            self.taken += 1
+        for held_out in self.parts:
+            self.num_asked += 1
             try:
-                figures.append(self.score(Trial(config=config, held=held, number=self.taken - 1, most=self.most)))
+                figures.append(self.score(Trial(config=config, held_out=held_out, number=self.num_asked - 1, most=self.most)))
             except (RadiantError, MemoryError, torch.OutOfMemoryError) as error:
                 self.failure = f"failed ({str(error).split(';')[0].rstrip('.') or 'out of memory'})"
                 return None
@@ -181,7 +181,7 @@ def score_apart(splats: Splats, views: TrainingViews, backend: Backend) -> Float
     the pixels that count."""
     used = _used(views)
     triples = zip(render_views(splats, views.cameras, backend), views.images, used, strict=True)
-    return np.array([psnr_db(correct_colors(view.image, image / 255, own), image / 255, own) for view, image, own in triples])
+    return np.array([psnr_db(correct_colors(view.image, image / 255, mask), image / 255, mask) for view, image, mask in triples])
 
 
 def _used(views: TrainingViews) -> list[NDArray[np.bool_] | None]:
@@ -190,11 +190,11 @@ def _used(views: TrainingViews) -> list[NDArray[np.bool_] | None]:
 
 def _parts(views: TrainingViews) -> list[NDArray[np.bool_]]:
     """The parts (V,) that are apart in turn, of photographs of which masks leave enough."""
-    shown = [index for index, used in enumerate(_used(views)) if used is None or used.mean() >= MIN_SHOWN]
-    ordered = sorted(shown, key=views.cameras.names.__getitem__)
+    usable = [index for index, used in enumerate(_used(views)) if used is None or used.mean() >= MIN_SHOWN]
+    ordered = sorted(usable, key=views.cameras.names.__getitem__)
     masks = [np.zeros(len(views), bool) for _ in PARTS]
     for mask, first in zip(masks, PARTS, strict=True):
-        if len(shown) >= FEWEST:
+        if len(usable) >= FEWEST:
             mask[ordered[first::EVERY]] = True
     return masks
 
@@ -216,7 +216,7 @@ def _why_not_these(parts: Sequence[NDArray[np.bool_]], num_candidates: int) -> s
     return ""
 
 
-def _not_asked(asked: str, num_views: int, reason: str) -> Decision:
+def _not_asked(mode: str, num_views: int, reason: str) -> Decision:
     return Decision(
         stage="train",
         topic=TOPIC,
@@ -225,7 +225,7 @@ def _not_asked(asked: str, num_views: int, reason: str) -> Decision:
         unit="training photographs",
         reason=reason,
         row=require(PHOTOGRAPHS, {"photographs": num_views}).row,
-        changes_nothing=asked == "auto" and num_views >= FEW_PHOTOGRAPHS,
+        changes_nothing=mode == "auto" and num_views >= FEW_PHOTOGRAPHS,
     )
 
 
@@ -249,8 +249,8 @@ def _resized(start: TrainConfig, factor: float, views: TrainingViews, parts: Seq
     """With so many times the Gaussians; None where that is the same training, of all or in a
     trial."""
     candidate = _with_pixels(start, round((pixels_per_splat(start, len(views)) or 1) / factor))
-    trained_on = (views, *(views.select(np.flatnonzero(~held)) for held in parts))
-    return candidate if all(most_splats(candidate, own) != most_splats(start, own) for own in trained_on) else None
+    trained_on = (views, *(views.select(np.flatnonzero(~held_out)) for held_out in parts))
+    return candidate if all(most_splats(candidate, subset) != most_splats(start, subset) for subset in trained_on) else None
 
 
 def _dropping_the_other_way(best: TrainConfig) -> TrainConfig:

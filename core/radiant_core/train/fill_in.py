@@ -55,8 +55,8 @@ class AddedPoints:
     def thin(self, max_num_points: int) -> AddedPoints:
         """At most so many, evenly over the order in which they were found."""
         count = len(self.points)
-        kept = np.unique(np.linspace(0, count - 1, min(count, max(0, max_num_points))).astype(np.int64))
-        return replace(self, points=self.points[kept], colors=self.colors[kept])
+        rows = np.unique(np.linspace(0, count - 1, min(count, max(0, max_num_points))).astype(np.int64))
+        return replace(self, points=self.points[rows], colors=self.colors[rows])
 
 
 NO_POINTS = AddedPoints(points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))
@@ -92,15 +92,15 @@ def _are_seen_through(scene: SfmScene, seen_by: list[NDArray[np.int64]], cameras
     points among those that a camera sees."""
     seen_through = np.zeros(len(points), bool)
     for index in range(len(cameras)):
-        seen, seen_depths = _project(cameras, index, scene.points[seen_by[index]])
+        witnesses, witness_depths = _project(cameras, index, scene.points[seen_by[index]])
         pixels, depths = _project(cameras, index, points)
-        asked = np.flatnonzero((depths > 0) & ((pixels >= 0) & (pixels < cameras.sizes_wh[index])).all(axis=1))
-        if (seen_depths > 0).sum() < WITNESSES or not len(asked):
+        rows = np.flatnonzero((depths > 0) & ((pixels >= 0) & (pixels < cameras.sizes_wh[index])).all(axis=1))
+        if (witness_depths > 0).sum() < WITNESSES or not len(rows):
             continue
-        seen, seen_depths = seen[seen_depths > 0], seen_depths[seen_depths > 0]
-        distances, nearest = KDTree(seen).query(pixels[asked], k=WITNESSES)
-        beside = distances[:, -1] < WITNESS_CELLS * cameras.sizes_wh[index].max() / CELLS_ACROSS
-        seen_through[asked] |= beside & (depths[asked] < SEEN_THROUGH * seen_depths[nearest].min(axis=1))
+        witnesses, witness_depths = witnesses[witness_depths > 0], witness_depths[witness_depths > 0]
+        distances, nearest = KDTree(witnesses).query(pixels[rows], k=WITNESSES)
+        near_witnesses = distances[:, -1] < WITNESS_CELLS * cameras.sizes_wh[index].max() / CELLS_ACROSS
+        seen_through[rows] |= near_witnesses & (depths[rows] < SEEN_THROUGH * witness_depths[nearest].min(axis=1))
     return seen_through
 
 
@@ -116,27 +116,27 @@ def _project(cameras: Cameras, index: int, points: FloatArray) -> tuple[FloatArr
 def contradicted_share(added: AddedPoints, views: TrainingViews) -> float:
     """Share of the points whose colour is not what other photographs show there, hidden or not; 0
     where too few show any. Once per training: a mean over cells of each photograph."""
-    asked = added.thin(MOST_ASKED)
-    cameras, colors = views.cameras, asked.colors.astype(np.float64)
-    apart, places = np.full((len(asked.points), len(views)), np.nan), []
+    sample = added.thin(MOST_ASKED)
+    cameras, colors = views.cameras, sample.colors.astype(np.float64)
+    apart, places = np.full((len(sample.points), len(views)), np.nan), []
     for index in range(len(views)):
         cell_px = max(1, int(cameras.sizes_wh[index].max() / CELLS_ACROSS))
         smooth = cv2.blur(np.asarray(views.images[index], np.float32), (cell_px, cell_px))
         places.append(smooth[cell_px // 2 :: cell_px, cell_px // 2 :: cell_px].reshape(-1, 3))
-        pixels, depths = _project(cameras, index, asked.points)
-        seen = (depths > 0) & ((pixels >= 0) & (pixels < cameras.sizes_wh[index])).all(axis=1)
+        pixels, depths = _project(cameras, index, sample.points)
+        in_image = (depths > 0) & ((pixels >= 0) & (pixels < cameras.sizes_wh[index])).all(axis=1)
         if views.weights is not None:
-            column, row = pixels[seen].astype(np.int64).T
-            seen[seen] = np.asarray(views.weights[index])[row, column] > 0
-        column, row = pixels[seen].astype(np.int64).T
-        apart[seen, index] = np.abs(smooth[row, column] - colors[seen]).mean(axis=1)
-    shown = np.isfinite(apart).sum(axis=1) >= FEWEST_LOOKS
-    if not shown.any():
+            column, row = pixels[in_image].astype(np.int64).T
+            in_image[in_image] = np.asarray(views.weights[index])[row, column] > 0
+        column, row = pixels[in_image].astype(np.int64).T
+        apart[in_image, index] = np.abs(smooth[row, column] - colors[in_image]).mean(axis=1)
+    comparable = np.isfinite(apart).sum(axis=1) >= FEWEST_LOOKS
+    if not comparable.any():
         return 0.0
     all_places = np.concatenate(places)
     first, second = np.random.default_rng(0).integers(0, len(all_places), (2, NUM_PAIRS))
     usual = float(np.median(np.abs(all_places[first] - all_places[second]).mean(axis=1)))
-    return float((np.nanmedian(apart[shown], axis=1) > CONTRADICTED * usual).mean())
+    return float((np.nanmedian(apart[comparable], axis=1) > CONTRADICTED * usual).mean())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,12 +176,12 @@ def _block_means(image: FloatArray, columns: int, rows: int) -> FloatArray:
     return sums / counts[..., None]
 
 
-def _place(cameras: Cameras, index: int, seen: FloatArray, cells: _Cells) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None:
+def _place(cameras: Cameras, index: int, seen_points: FloatArray, cells: _Cells) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None:
     """Points (F,3) of the cells, spacings (F,) in world units, and which are below the horizon
     without an observed point (F,); None when too few points are seen to tell a depth."""
     pose, K = cameras.cam_from_world[index], cameras.Ks[index]
-    in_camera = seen @ pose[:3, :3].T + pose[:3, 3]
-    visible, in_camera = seen[in_camera[:, 2] > 0], in_camera[in_camera[:, 2] > 0]
+    in_camera = seen_points @ pose[:3, :3].T + pose[:3, 3]
+    visible, in_camera = seen_points[in_camera[:, 2] > 0], in_camera[in_camera[:, 2] > 0]
     if len(in_camera) < NEIGHBOURS:
         return None
     pixels = (in_camera @ K.T)[:, :2] / in_camera[:, 2:]

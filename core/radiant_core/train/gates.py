@@ -123,25 +123,25 @@ def choose_helpers(config: TrainConfig, gates: Sequence[Gate], views: TrainingVi
     why_not = _why_not(config, len(views)) or ("" if size is not None else f"trials would take more than {MOST_SHARE:.0%} of its time")
     if size is None or why_not:
         return Choice(config=unasked, decisions=(*settled, *(_untried(gate, why_not) for gate in gates)))
-    held = np.zeros(len(views), bool)
-    held[np.argsort(views.cameras.names)[::EVERY]] = True
-    trials = _Trials(score=score, held=held, size=size, most=1 + len(gates))
+    held_out = np.zeros(len(views), bool)
+    held_out[np.argsort(views.cameras.names)[::EVERY]] = True
+    trials = _Trials(score=score, held_out=held_out, size=size, most=1 + len(gates))
     best, decisions = unasked, [*settled]
     for gate in gates:
         best = gate.set(best, on=True)
     try:
         figures = trials.ask(best)
         for gate in gates:
-            own = trials.ask(candidate := gate.set(best, on=False))
-            gain_db = float(np.mean(figures - own))
+            candidate_figures = trials.ask(candidate := gate.set(best, on=False))
+            gain_db = float(np.mean(figures - candidate_figures))
             decisions.append(_tried(gate, gain_db, trials))
             if gain_db < gate.lead_db:
-                best, figures = candidate, own
+                best, figures = candidate, candidate_figures
     except (RadiantError, MemoryError, torch.OutOfMemoryError) as error:
         reason = f"a trial failed ({str(error).split(';')[0].rstrip('.') or 'out of memory'})"
         decisions = [*settled, *(_untried(gate, reason) for gate in gates)]
-        return Choice(config=unasked, decisions=tuple(decisions), num_trials=trials.taken)
-    return Choice(config=best, decisions=tuple(decisions), num_trials=trials.taken)
+        return Choice(config=unasked, decisions=tuple(decisions), num_trials=trials.num_asked)
+    return Choice(config=best, decisions=tuple(decisions), num_trials=trials.num_asked)
 
 
 def trial_size(config: TrainConfig, views: TrainingViews, num_trials: int) -> TrialSize | None:
@@ -161,15 +161,17 @@ class _Trials:
     """Trainings of candidates on the same photographs, counted."""
 
     score: Score
-    held: NDArray[np.bool_]
+    held_out: NDArray[np.bool_]
     size: TrialSize
     most: int
-    taken: int = 0
+    num_asked: int = 0
 
     def ask(self, candidate: TrainConfig) -> FloatArray:
         config = replace(candidate, num_steps=self.size.num_steps, max_epochs=None, cross_validate="none")
-        self.taken += 1
-        return self.score(Trial(config=config, held=self.held, number=self.taken - 1, most=self.most, long_side_px=self.size.long_side_px))
+        self.num_asked += 1
+        return self.score(
+            Trial(config=config, held_out=self.held_out, number=self.num_asked - 1, most=self.most, long_side_px=self.size.long_side_px)
+        )
 
 
 def _why_not(config: TrainConfig, num_views: int) -> str:
@@ -182,8 +184,8 @@ def _why_not(config: TrainConfig, num_views: int) -> str:
 
 def _tried(gate: Gate, gain_db: float, trials: _Trials) -> Decision:
     size, on = trials.size, gain_db >= gate.lead_db
-    reason = f"{trials.most} trainings of {size.num_steps} steps at {size.long_side_px} px without {trials.held.sum()} of "
-    reason += f"{len(trials.held)} photographs: with the helper {gain_db:+.2f} dB there"
+    reason = f"{trials.most} trainings of {size.num_steps} steps at {size.long_side_px} px without {trials.held_out.sum()} of "
+    reason += f"{len(trials.held_out)} photographs: with the helper {gain_db:+.2f} dB there"
     reason += f", which must be {gate.lead_db:+.1f} or more" if gate.lead_db else ""
     return replace(_decision(gate, reason, on=on), otherwise_db=-gain_db if on else gain_db)
 
@@ -194,7 +196,7 @@ def _untried(gate: Gate, why_not: str = "") -> Decision:
 
 
 def _decision(gate: Gate, reason: str, *, on: bool) -> Decision:
-    other = gate.off if on else gate.on
+    opposite = gate.off if on else gate.on
     return Decision(
         stage="train",
         topic=gate.topic,
@@ -203,5 +205,5 @@ def _decision(gate: Gate, reason: str, *, on: bool) -> Decision:
         unit=gate.unit,
         reason=reason,
         row=gate.case.row,
-        otherwise=f"--set train.{gate.setting}={str(other).lower()}",
+        otherwise=f"--set train.{gate.setting}={str(opposite).lower()}",
     )

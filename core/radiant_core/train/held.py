@@ -17,12 +17,12 @@ class HeldRows(Part):
     name = "held"
 
     def __init__(self, splats: SplatTensors, mask: ArrayLike) -> None:
-        held = np.asarray(mask)
-        if held.dtype != bool or held.shape != (len(splats.means),):
+        frozen = np.asarray(mask)
+        if frozen.dtype != bool or frozen.shape != (len(splats.means),):
             raise BadInput(
-                f"held is {held.dtype} of shape {held.shape}, expected one truth value for each of {len(splats.means)} Gaussians."
+                f"frozen is {frozen.dtype} of shape {frozen.shape}, expected one truth value for each of {len(splats.means)} Gaussians."
             )
-        self._rows = torch.from_numpy(np.flatnonzero(held)).to(splats.means.device)
+        self._rows = torch.from_numpy(np.flatnonzero(frozen)).to(splats.means.device)
         self._values = {name: tensor.detach()[self._rows].clone() for name, tensor in splats.tensors().items()}
 
     def hold(self, splats: SplatTensors) -> None:

@@ -58,8 +58,8 @@ def initial_splats(
     if len(points) < 4:
         raise BadInput(f"only {len(points)} different sparse points, expected at least 4: take more overlapping photographs.")
     sky = _sky_points(points, cameras, 0 if sky_rgb is None else min(NUM_SKY, max_num_splats // 4))
-    kept = np.unique(np.linspace(0, len(points) - 1, max(4, min(len(points), max_num_splats - len(sky)))).astype(np.int64))
-    points, colors = points[kept], colors[kept]
+    rows = np.unique(np.linspace(0, len(points) - 1, max(4, min(len(points), max_num_splats - len(sky)))).astype(np.int64))
+    points, colors = points[rows], colors[rows]
     spacing = _neighbour_distance(points)
     sky_radius = np.linalg.norm(sky - sky.mean(0), axis=1).max() if len(sky) else 0.0
     scales = np.concatenate([spacing, np.full(len(sky), 1.5 * sky_radius / np.sqrt(max(1, len(sky))))])
@@ -122,15 +122,15 @@ def initial_gaussians(
     """The Gaussians of sparse points (P,3) and of those filled in, thinned out to the limit, and a
     sky of one colour (3,), that of no photograph where it is NaN, by the settings of training."""
     limit = config.max_num_splats
-    kept = np.linspace(0, len(points) - 1, min(len(points), max(1, limit - len(fill.points)))).astype(np.int64)
-    seen = sky_rgb if np.isfinite(sky_rgb).all() else np.array(SKY_RGB)
+    rows = np.linspace(0, len(points) - 1, min(len(points), max(1, limit - len(fill.points)))).astype(np.int64)
+    sky_color = sky_rgb if np.isfinite(sky_rgb).all() else np.array(SKY_RGB)
     initial = initial_splats(
-        np.concatenate([points[kept], fill.points]),
-        np.concatenate([colors[kept], fill.colors]),
+        np.concatenate([points[rows], fill.points]),
+        np.concatenate([colors[rows], fill.colors]),
         cameras,
         max_num_splats=limit,
         sh_degree=config.sh_degree,
-        sky_rgb=seen if config.sky else None,
+        sky_rgb=sky_color if config.sky else None,
     )
     # The sky, last and almost opaque, keeps what it has.
     on_ground = initial.logit_opacities < 0
@@ -145,8 +145,8 @@ def with_dense_points(initial: Splats, dense: DensePoints, max_num_splats: int) 
     each of these: at most so many, of which the dense ones are thinned out first."""
     spacing = _neighbour_distance(dense.points)
     distances, nearest = KDTree(dense.points).query(initial.means)
-    kept = np.flatnonzero(distances > REPLACED_SPACINGS * spacing[nearest])
-    count = min(len(dense), max_num_splats - len(kept))
+    sparse_rows = np.flatnonzero(distances > REPLACED_SPACINGS * spacing[nearest])
+    count = min(len(dense), max_num_splats - len(sparse_rows))
     chosen = np.linspace(0, len(dense) - 1, max(0, count)).astype(np.int64)
     flat = np.log(spacing[chosen, None] * np.array([1, 1, FLATNESS]))
     seeds = Splats(
@@ -157,7 +157,7 @@ def with_dense_points(initial: Splats, dense: DensePoints, max_num_splats: int) 
         sh0=((dense.colors[chosen] / 255.0 - 0.5) / SH_C0)[:, None].astype(np.float32),
         shN=np.zeros((len(chosen), initial.shN.shape[1], 3), np.float32),
     )
-    joined = concatenate_splats([seeds, initial.select(kept)])
+    joined = concatenate_splats([seeds, initial.select(sparse_rows)])
     return joined.select(morton_order(joined.means))
 
 
@@ -190,12 +190,12 @@ def sky_rgb_of(views: TrainingViews) -> FloatArray:
     """Median colour (3,) in 0..1 of the pixels above the horizon, of a 9×9 grid per photograph; NaN
     without any."""
     pixels, above = _above_horizon(views.cameras)
-    found = np.zeros((0, 3), np.uint8)
+    samples = np.zeros((0, 3), np.uint8)
     for index, (image, grid, up) in enumerate(zip(views.images, pixels.astype(np.int64), above, strict=True)):
         columns, rows = grid[up].T
         counts = np.ones(len(rows), bool) if views.weights is None else views.weights[index][rows, columns] > 0
-        found = np.concatenate([found, image[rows[counts], columns[counts]]])
-    return np.median(found, axis=0) / 255 if len(found) else np.full(3, np.nan)
+        samples = np.concatenate([samples, image[rows[counts], columns[counts]]])
+    return np.median(samples, axis=0) / 255 if len(samples) else np.full(3, np.nan)
 
 
 def _neighbour_distance(points: FloatArray) -> FloatArray:

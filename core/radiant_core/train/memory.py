@@ -77,11 +77,11 @@ def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[
     `PROCESS_BYTES`, without what the loss may keep; photographs of 4:3, as a plan is made before
     there are any. 0 where not even one fits."""
     pixels = 0.75 * config.long_side_px**2
-    each = bytes_per_splat(config.sh_degree)
+    splat_bytes = bytes_per_splat(config.sh_degree)
 
     def fits(count: int) -> bool:
         splats = max(MIN_SPLATS, min(splats_of(count), config.max_num_splats))
-        return _fixed_bytes(config, count * pixels, pixels, PROCESS_BYTES) + splats * each <= memory_bytes
+        return _fixed_bytes(config, count * pixels, pixels, PROCESS_BYTES) + splats * splat_bytes <= memory_bytes
 
     low, high = 0, num_cameras + 1
     while high - low > 1:
@@ -117,9 +117,9 @@ def training_memory(config: TrainConfig, num_photographs: int, pixels_each: floa
     planned = config.max_num_splats if per_splat is None else max(MIN_PLANNED, int(num_photographs * pixels / per_splat))
     splats = min(config.max_num_splats, planned) * bytes_per_splat(config.sh_degree)
     fixed = _fixed_bytes(config, num_photographs * pixels, pixels, PROCESS_BYTES)
-    kept = min(STATISTICS_BYTES_PER_PX * num_photographs * pixels, STATISTICS_BUDGET_BYTES)
+    statistics_bytes = min(STATISTICS_BYTES_PER_PX * num_photographs * pixels, STATISTICS_BUDGET_BYTES)
     needed = fixed + splats / (1 - MAX_STATISTICS_SHARE)
-    return TrainingMemory(needed_bytes=round(needed), ample_bytes=round(max(needed, fixed + splats + kept)))
+    return TrainingMemory(needed_bytes=round(needed), ample_bytes=round(max(needed, fixed + splats + statistics_bytes)))
 
 
 def memory_plan(
@@ -129,18 +129,18 @@ def memory_plan(
     `cameras`, at their training size; `base_bytes`: held before they are loaded. Raises BadInput
     where fewer than `MIN_SPLATS` fit, with what would do."""
     fixed = fixed_bytes(config, cameras, base_bytes, masked=masked)
-    each = bytes_per_splat(config.sh_degree, validated=validated)
+    splat_bytes = bytes_per_splat(config.sh_degree, validated=validated)
     free = memory_bytes - fixed
     wanted = STATISTICS_BYTES_PER_PX * int(cameras.sizes_wh.prod(axis=1).sum())
     statistics = max(0, min(wanted, STATISTICS_BUDGET_BYTES, int(MAX_STATISTICS_SHARE * free)))
-    count = int((free - statistics) // each)
+    count = int((free - statistics) // splat_bytes)
     if count < MIN_SPLATS:
-        enough = fixed + MIN_SPLATS * each / (1 - MAX_STATISTICS_SHARE)
+        enough = fixed + MIN_SPLATS * splat_bytes / (1 - MAX_STATISTICS_SHARE)
         raise BadInput(
             f"{memory_bytes / 1e6:,.0f} MB of memory leave room for {max(0, count):,} Gaussians, expected {MIN_SPLATS:,} or more: "
             f"give {enough / 1e6:,.0f} MB, or lower the photographs' size by --long-side-px."
         )
-    return MemoryPlan(max_num_splats=count, statistics_bytes=statistics, needed_bytes=round(fixed + statistics + count * each))
+    return MemoryPlan(max_num_splats=count, statistics_bytes=statistics, needed_bytes=round(fixed + statistics + count * splat_bytes))
 
 
 def within_vram(config: TrainConfig, cameras: Cameras, free_bytes: int, stage: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
@@ -167,10 +167,12 @@ def within_vram(config: TrainConfig, cameras: Cameras, free_bytes: int, stage: s
     return replace(config, max_num_splats=count), (decision,)
 
 
-def within_memory(config: TrainConfig, plan: MemoryPlan, memory_bytes: int, stage: str, asked: int | None) -> tuple[TrainConfig, Decision]:
-    """The configuration with the limit of Gaussians that a plan leaves, or the one `asked` for
+def within_memory(
+    config: TrainConfig, plan: MemoryPlan, memory_bytes: int, stage: str, requested: int | None
+) -> tuple[TrainConfig, Decision]:
+    """The configuration with the limit of Gaussians that a plan leaves, or the one `requested`
     where that is lower, and the decision."""
-    count = plan.max_num_splats if asked is None else min(asked, plan.max_num_splats)
+    count = plan.max_num_splats if requested is None else min(requested, plan.max_num_splats)
     decision = Decision(
         stage=stage,
         topic="memory",

@@ -65,9 +65,9 @@ def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> t
     if backend in _LIMITS and not config.reduce_on_cpu:
         decisions.append(_unreduced_decision(overrides.num_steps or config.num_steps, backend))
     for name, unit in _UNITS.items():
-        asked, wanted, limit = getattr(overrides, name), getattr(config, name), getattr(limits, name)
-        if asked is not None:
-            chosen, reason = asked, "asked for on the command line"
+        requested, wanted, limit = getattr(overrides, name), getattr(config, name), getattr(limits, name)
+        if requested is not None:
+            chosen, reason = requested, "asked for on the command line"
         elif limit is not None and wanted > limit:
             chosen = limit
             reason = f"the preset's {wanted:,} {unit} would take hours on a CPU with the {backend} renderer"
@@ -82,7 +82,7 @@ def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> t
                 figure=float(chosen),
                 unit=unit,
                 reason=reason,
-                forced=asked is not None,
+                forced=requested is not None,
             )
         )
     return config, tuple(decisions)

@@ -166,11 +166,11 @@ class SelectiveAdam:
         natively = {name: gradient for name, gradient in gradients.items() if _is_native(self._groups[name].tensor)}
         for name, gradient in natively.items():
             self._step_natively(self._groups[name], gradient, runs)
-        rest = [(self._groups[name], gradient) for name, gradient in gradients.items() if name not in natively]
-        if visible is None and rest:
-            self._step_together([group for group, _ in rest], [gradient for _, gradient in rest])
+        remaining = [(self._groups[name], gradient) for name, gradient in gradients.items() if name not in natively]
+        if visible is None and remaining:
+            self._step_together([group for group, _ in remaining], [gradient for _, gradient in remaining])
         elif visible is not None:
-            for group, gradient in rest:
+            for group, gradient in remaining:
                 self._step_rows(group, gradient, visible)
 
     def _step_natively(self, group: _Group, gradient: Tensor, runs: NDArray[np.int32] | None) -> None:
@@ -238,9 +238,9 @@ def _bias_factors(beta1: float) -> tuple[Tensor, Tensor]:
 
 
 def _require_finite(gradients: Mapping[str, Tensor], visible: Tensor | None, runs: NDArray[np.int32] | None) -> None:
-    found = first_not_finite(gradients, visible, runs)
-    if found is not None:
-        name, count, first = found
+    fault = first_not_finite(gradients, visible, runs)
+    if fault is not None:
+        name, count, first = fault
         raise StageFailed(
             f"training: the gradient of {name} has {count} values that are not finite, the first at index {first}: nothing was "
             "changed by this step; lower the learning rates or check the photographs."

@@ -87,8 +87,8 @@ def store_views(views: Iterable[tuple[NDArray[np.uint8], NDArray[np.uint8]]], fo
     Raises CannotWrite where the folder has no room.
     """
     if folder is None:
-        kept = list(views)
-        return tuple(image for image, _ in kept), tuple(weight for _, weight in kept)
+        pairs = list(views)
+        return tuple(image for image, _ in pairs), tuple(weight for _, weight in pairs)
     places: tuple[list[Place], list[Place]] = ([], [])
     try:
         file = UnnamedFile(folder)

@@ -102,7 +102,7 @@ class FitOptions:
     """Folder for what need not stay in memory, such as synthetic views; None: memory."""
     extent: float | None = None
     """That of the larger training of which this one is a part; None: its own (`extent.py`)."""
-    held: NDArray[np.bool_] | None = None
+    frozen: NDArray[np.bool_] | None = None
     """Gaussians (N,) that are rendered and keep their bits; only without densification."""
 
 
@@ -195,8 +195,10 @@ class ModelFit:
         """Go on from `state`; BadInput where it is of other inputs or configuration."""
         arrays, numbers = state.arrays, state.numbers
         try:
-            own = {name: torch.from_numpy(arrays[f"splats.{name}"].copy()).to(old.device) for name, old in self._splats.tensors().items()}
-            self._splats = replace(self._splats, **own)
+            tensors = {
+                name: torch.from_numpy(arrays[f"splats.{name}"].copy()).to(old.device) for name, old in self._splats.tensors().items()
+            }
+            self._splats = replace(self._splats, **tensors)
             self._optimizer, self._rates = self._new_optimizer()
             self._optimizer.restore(_arrays_of("adam", arrays), int(numbers["adam_step"]))
             for part in self._parts:
@@ -357,10 +359,10 @@ def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConf
         parts.append(RelocatedDensity(density, config))
     elif not isinstance(density, NoDensification):
         parts.append(AdaptiveDensity(density, config, extent, splats))
-    if options.held is not None:
+    if options.frozen is not None:
         if not isinstance(density, NoDensification):
             raise BadInput(f"Gaussians are held while density.kind is {density.kind!r}, which moves rows: set density.kind to 'none'.")
-        parts.append(HeldRows(splats, options.held))
+        parts.append(HeldRows(splats, options.frozen))
     return tuple(parts)
 
 

@@ -46,8 +46,8 @@ class BestModel(Part):
 
     def is_due(self, progress: float) -> bool:
         """Whether the model is to be scored at this share of the run."""
-        done = len(self.looks)
-        return done < self._num_looks and progress >= 1 - (1 - FIRST_LOOK) * (1 - (done + 1) / self._num_looks)
+        num_done = len(self.looks)
+        return num_done < self._num_looks and progress >= 1 - (1 - FIRST_LOOK) * (1 - (num_done + 1) / self._num_looks)
 
     def after_step(self, step: int, progress: float, splats: SplatTensors) -> None:
         """Score the model where a look is due, and keep it if it is the best so far."""

@@ -43,7 +43,7 @@ _ALL = "--set train.skip_images=none"
 class Worth:
     """Which of V views are kept (V,), and what was decided about the others."""
 
-    kept: NDArray[np.bool_]
+    keep_mask: NDArray[np.bool_]
     decisions: tuple[Decision, ...]
 
 
@@ -54,7 +54,7 @@ def images_worth(scene: SfmScene, views: TrainingViews) -> Worth:
     sharpness = relative_sharpness(scene, views)
     blurred = _find_dispensable(scene, sharpness, ~repeated)
     worst = float(np.nanmin(sharpness)) if np.isfinite(sharpness).any() else 1.0
-    return Worth(kept=~(repeated | blurred), decisions=(_repeats_decision(repeated), _blur_decision(blurred, worst)))
+    return Worth(keep_mask=~(repeated | blurred), decisions=(_repeats_decision(repeated), _blur_decision(blurred, worst)))
 
 
 def worth_training(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[SfmScene, TrainingViews, tuple[Decision, ...]]:
@@ -63,10 +63,10 @@ def worth_training(scene: SfmScene, views: TrainingViews, config: TrainConfig) -
     if config.skip_images == "none":
         return scene, views, ()
     worth = images_worth(scene, views)
-    if worth.kept.all():
+    if worth.keep_mask.all():
         return scene, views, worth.decisions
-    kept = np.flatnonzero(worth.kept)
-    return scene.restricted_to(kept), views.select(kept), worth.decisions
+    rows = np.flatnonzero(worth.keep_mask)
+    return scene.restricted_to(rows), views.select(rows), worth.decisions
 
 
 def relative_sharpness(scene: SfmScene, views: TrainingViews) -> FloatArray:
@@ -75,16 +75,16 @@ def relative_sharpness(scene: SfmScene, views: TrainingViews) -> FloatArray:
     point, view = scene.observations[rows].T
     logs = np.empty(len(rows))
     by_view = np.split(np.argsort(view, kind="stable"), np.cumsum(np.bincount(view, minlength=len(views)))[:-1])
-    for image, own in zip(views.images, by_view, strict=True):
-        if len(own):
-            logs[own] = np.log(_gradient_energy(image)[pixels[own, 1], pixels[own, 0]] + MIN_GRADIENT**2)
+    for image, view_rows in zip(views.images, by_view, strict=True):
+        if len(view_rows):
+            logs[view_rows] = np.log(_gradient_energy(image)[pixels[view_rows, 1], pixels[view_rows, 0]] + MIN_GRADIENT**2)
     typical, num_seeing = _medians_of_others(point, logs)
     ratios, judged = logs - typical, num_seeing >= 3
     sharpness = np.full(len(views), np.nan)
-    for index, rows in enumerate(by_view):
-        own = ratios[rows[judged[rows]]]
-        if len(own) >= MIN_COMMON_POINTS:
-            sharpness[index] = np.exp(0.5 * np.median(own))
+    for index, view_rows in enumerate(by_view):
+        view_ratios = ratios[view_rows[judged[view_rows]]]
+        if len(view_ratios) >= MIN_COMMON_POINTS:
+            sharpness[index] = np.exp(0.5 * np.median(view_ratios))
     return sharpness
 
 
@@ -111,18 +111,18 @@ def _medians_of_others(group: NDArray[np.int64], values: FloatArray) -> tuple[Fl
     return medians, sizes
 
 
-def _find_dispensable(scene: SfmScene, sharpness: FloatArray, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _find_dispensable(scene: SfmScene, sharpness: FloatArray, keep_mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which views (V,) are blurred and show only what others show too, the most blurred first."""
     point, view = np.unique(scene.observations, axis=0).T
-    num_seeing = np.bincount(point[kept[view]], minlength=len(scene.points))
+    num_seeing = np.bincount(point[keep_mask[view]], minlength=len(scene.points))
     blurred = np.zeros(len(sharpness), bool)
     for index in np.argsort(sharpness):
-        if not (kept[index] and sharpness[index] < SHARPNESS):
+        if not (keep_mask[index] and sharpness[index] < SHARPNESS):
             continue
-        own = point[view == index]
-        if (_views_of_places(scene.points[own], num_seeing[own]) >= 3).mean() >= MIN_SEEN_ELSEWHERE:
+        points = point[view == index]
+        if (_views_of_places(scene.points[points], num_seeing[points]) >= 3).mean() >= MIN_SEEN_ELSEWHERE:
             blurred[index] = True
-            num_seeing[own] -= 1
+            num_seeing[points] -= 1
     return blurred
 
 

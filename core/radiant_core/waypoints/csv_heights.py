@@ -72,9 +72,9 @@ _MODES: dict[str, HeightFrom] = {"": "takeoff", "0": "takeoff", "1": "ground"}
 @dataclass(frozen=True)
 class _Column:
     index: int
-    what: str
+    quantity: str
     counts_from: HeightFrom
-    shown: str
+    header: str
 
 
 class CsvHeights:
@@ -85,9 +85,9 @@ class CsvHeights:
         header = [_UNIT_FIRST.sub(r"\2 (\1)", name) for name in header]
         stems = [_SIGNS.sub("", UNIT.sub("", name)) for name in header]
         self._mode = stems.index("altitudemode") if "altitudemode" in stems else None
-        self._columns = [column for what, kind, names in COLUMNS for column in _columns_of(header, stems, what, kind, names)]
-        read = {column.index for column in self._columns}
-        self._unread = [name for index, name in enumerate(header) if index not in read and _may_be_height(name)]
+        self._columns = [column for quantity, kind, names in COLUMNS for column in _columns_of(header, stems, quantity, kind, names)]
+        read_indices = {column.index for column in self._columns}
+        self._unread = [name for index, name in enumerate(header) if index not in read_indices and _may_be_height(name)]
         self._highest_plain_m = 0.0
 
     def of_line(self, cells: Sequence[str], line: int) -> tuple[float | None, HeightFrom]:
@@ -96,8 +96,8 @@ class CsvHeights:
             text = cells[column.index].strip()
             if not text:
                 continue
-            height = number(text, f"the {column.what} in line {line}")
-            if column.what != "altitude":
+            height = number(text, f"the {column.quantity} in line {line}")
+            if column.quantity != "altitude":
                 return height, column.counts_from
             counts_from = self._mode_of(cells, line)
             if counts_from == "takeoff":
@@ -108,15 +108,15 @@ class CsvHeights:
     def settle(self, rows: WaypointRows) -> None:
         """What is known once all lines are read: whether plain altitudes can be heights above
         take-off, and what of the table is not used."""
-        shown = {column.what: column.shown for column in self._columns}
-        if self._highest_plain_m > HIGHEST_FLIGHT_M and "height above take-off" not in shown:
+        titles = {column.quantity: column.header for column in self._columns}
+        if self._highest_plain_m > HIGHEST_FLIGHT_M and "height above take-off" not in titles:
             rows.notes.append(
-                f"The column {shown['altitude']!r} has altitudes up to {self._highest_plain_m:g} m, more than anybody flies above take-off:"
-                " taken from the sea or the ellipsoid."
+                f"The column {titles['altitude']!r} has altitudes up to {self._highest_plain_m:g} m, more than anybody flies above take-off"
+                ": taken from the sea or the ellipsoid."
             )
             rows.reckon("takeoff", "absolute")
         if len(self._columns) > 1:
-            first, *others = (repr(column.shown) for column in self._columns)
+            first, *others = (repr(column.header) for column in self._columns)
             rows.notes.append(f"Heights are those of the column {first}; {', '.join(others)} only where that is empty.")
         if self._unread and not self._columns:
             named = ", ".join(repr(name) for name in self._unread[:_MAX_NAMED])
@@ -136,11 +136,11 @@ def _may_be_height(name: str) -> bool:
     return _LIKE_HEIGHTS.search(name) is not None and _NO_HEIGHTS.search(name) is None
 
 
-def _columns_of(header: Sequence[str], stems: Sequence[str], what: str, kind: HeightFrom, names: tuple[str, ...]) -> list[_Column]:
+def _columns_of(header: Sequence[str], stems: Sequence[str], quantity: str, kind: HeightFrom, names: tuple[str, ...]) -> list[_Column]:
     in_feet = next((name for name in header if _FEET.search(name) and _SIGNS.sub("", _FEET.sub("", name)) in names), None)
     if in_feet is not None:
         raise BadInput(f"its column {in_feet!r} is in feet: convert it to metres and call it altitude.")
     places = [index for index, stem in enumerate(stems) if stem in names]
     if len(places) > 1:
-        raise BadInput(f"its header has {len(places)} columns for the {what}: leave one.")
-    return [_Column(index, what, kind, header[index]) for index in places]
+        raise BadInput(f"its header has {len(places)} columns for the {quantity}: leave one.")
+    return [_Column(index, quantity, kind, header[index]) for index in places]

@@ -65,9 +65,9 @@ def csv_rows(file: IO[str]) -> WaypointRows:
 def _looks_at_deg(cells: list[str], column: dict[str, int], line: int) -> tuple[float, float]:
     """Heading and pitch of a line, NaN where it has none."""
 
-    def angle(what: str) -> float:
-        text = cells[column[what]].strip() if what in column else ""
-        return number(text, f"the {what} in line {line}") if text else math.nan
+    def angle(quantity: str) -> float:
+        text = cells[column[quantity]].strip() if quantity in column else ""
+        return number(text, f"the {quantity} in line {line}") if text else math.nan
 
     aimed = "gimbal mode" not in column or cells[column["gimbal mode"]].strip() != "0"
     return angle("heading"), angle("pitch") if aimed else math.nan
@@ -92,17 +92,17 @@ def _plain(header: list[str]) -> list[str]:
 def _columns(header: list[str]) -> dict[str, int]:
     """Which column of the header is what."""
     plain = [UNIT.sub("", name) for name in _plain(header)]
-    found: dict[str, int] = {}
-    for what, names in _COLUMNS.items():
+    columns: dict[str, int] = {}
+    for quantity, names in _COLUMNS.items():
         places = [index for index, name in enumerate(plain) if name in names]
         if len(places) > 1:
-            raise BadInput(f"its header has {len(places)} columns for the {what}: leave one.")
+            raise BadInput(f"its header has {len(places)} columns for the {quantity}: leave one.")
         if places:
-            found[what] = places[0]
-    missing = [what for what in ("latitude", "longitude") if what not in found]
+            columns[quantity] = places[0]
+    missing = [quantity for quantity in ("latitude", "longitude") if quantity not in columns]
     if missing:
-        shown = ", ".join(name.strip()[:40] for name in header[:MAX_SHOWN])
+        header_text = ", ".join(name.strip()[:40] for name in header[:MAX_SHOWN])
         raise BadInput(
-            f"its first line names no {' and no '.join(missing)} (it has: {shown}): name the columns latitude, longitude, altitude."
+            f"its first line names no {' and no '.join(missing)} (it has: {header_text}): name the columns latitude, longitude, altitude."
         )
-    return found
+    return columns

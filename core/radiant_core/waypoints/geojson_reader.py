@@ -84,7 +84,7 @@ def _system_of(value: dict[str, Any]) -> Crs | None:
     named = json.dumps(crs)
     if crs is None:
         return None
-    codes = [code for found in _EPSG.findall(named) for code in found if code]
+    codes = [code for match in _EPSG.findall(named) for code in match if code]
     if _CRS84.search(named):
         # Alone WGS84, but the plane of heights over a vertical datum beside one.
         codes = ["4326", *codes] if codes else []
@@ -93,7 +93,7 @@ def _system_of(value: dict[str, Any]) -> Crs | None:
     if not 1 <= len(codes) <= 2 or _OTHER_AUTHORITY.search(named):
         raise BadInput(f"its coordinate system is {named[:80]}, expected WGS84 longitude and latitude, or one by its EPSG code.")
     system = parse_crs(f"EPSG:{'+'.join(codes)}")
-    return None if system.own and system.unit_m is None else system
+    return None if system.is_builtin and system.unit_m is None else system
 
 
 def _geometries(value: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
@@ -121,8 +121,8 @@ def _features(value: dict[str, Any]) -> Iterator[_Feature]:
 
 def _feature(place: str, feature: dict[str, Any]) -> _Feature:
     properties = feature.get("properties")
-    known = properties if isinstance(properties, dict) else {}
-    return _Feature(place=place, name=_feature_name(feature), properties=known, geometry=feature.get("geometry"))
+    entries = properties if isinstance(properties, dict) else {}
+    return _Feature(place=place, name=_feature_name(feature), properties=entries, geometry=feature.get("geometry"))
 
 
 def _height_of(properties: dict[str, Any], place: str) -> tuple[float | None, HeightFrom] | None:
@@ -193,5 +193,5 @@ def _add_position(rows: WaypointRows, feature: _Feature, name: str, position: An
         lon, lat, third = float(position[0]), float(position[1]), float(position[2]) if len(position) > 2 else None
     except OverflowError:
         raise BadInput(f"{place} has a position with a number beyond any degree or metre.") from None
-    said, counts_from = height
-    rows.add(name, (lat, lon), third if said is None else said, counts_from)
+    altitude, counts_from = height
+    rows.add(name, (lat, lon), third if altitude is None else altitude, counts_from)

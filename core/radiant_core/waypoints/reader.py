@@ -67,8 +67,8 @@ def read_waypoints(path: Path) -> FoundWaypoints:
         with _without_cycle_collection():
             rows = _rows(text, suffix)
         if not rows.names:
-            held = f" but {_list_kinds(rows)}" if rows.ignored else ""
-            raise BadInput(f"it holds no waypoint{held}: give at least one point.")
+            contents = f" but {_list_kinds(rows)}" if rows.ignored else ""
+            raise BadInput(f"it holds no waypoint{contents}: give at least one point.")
         waypoints, warnings = clean_waypoints(rows.names, rows.lat_lon_alt, rows.height_codes, rows.heading_pitch_deg)
         warnings = (*rows.notes, *warnings)
     except BadInput as error:

@@ -54,9 +54,9 @@ def _rings(geometry: Any) -> list[Any]:
 def _polygon(ring: Any, origin: FloatArray, system: Crs | None) -> Polygon:
     if not isinstance(ring, list) or len(ring) < 4 or not all(isinstance(at, list) and len(at) in (2, 3) for at in ring):
         raise BadInput("a ring is no list of at least four positions of longitude and latitude.")
-    read = check_array("ring", [at[:2] for at in ring], (None, 2))
-    lat_lon = np.flip(read, axis=1) if system is None else system.to_geodetic(np.column_stack([read, np.zeros(len(read))]))[:, :2]
-    places = enu_from_geodetic(np.column_stack([lat_lon, np.full(len(read), origin[2])]), origin)
+    corners = check_array("ring", [at[:2] for at in ring], (None, 2))
+    lat_lon = np.flip(corners, axis=1) if system is None else system.to_geodetic(np.column_stack([corners, np.zeros(len(corners))]))[:, :2]
+    places = enu_from_geodetic(np.column_stack([lat_lon, np.full(len(corners), origin[2])]), origin)
     polygon = Polygon(places[:, :2])
     if not polygon.is_valid:
         raise BadInput("a ring crosses itself.")

@@ -43,9 +43,9 @@ class WaypointRows:
         "unknown" is none, whatever number stands there."""
         self._angles.extend(heading_pitch_deg)
         self.names.append(" ".join(name.split()))
-        known = alt is not None and counts_from != "unknown"
-        self._numbers.extend((*lat_lon, alt if known and alt is not None else 0.0))
-        self._codes.append(HEIGHT_KINDS.index(counts_from if known else "unknown"))
+        has_height = alt is not None and counts_from != "unknown"
+        self._numbers.extend((*lat_lon, alt if has_height and alt is not None else 0.0))
+        self._codes.append(HEIGHT_KINDS.index(counts_from if has_height else "unknown"))
 
     def set_height(self, row: int, alt: float, counts_from: HeightFrom) -> None:
         """What was read of a waypoint's height behind the waypoint itself."""
@@ -60,15 +60,15 @@ class WaypointRows:
         """Take what was read as latitude and longitude for north and east in a system, and
         altitudes (P,) of those that have its height for heights in its unit over its datum, if it
         has one. BadInput for places that it does not have."""
-        read = self.lat_lon_alt
-        found = system.to_geodetic(read[:, [1, 0, 2]])
+        recorded = self.lat_lon_alt
+        geodetic = system.to_geodetic(recorded[:, [1, 0, 2]])
         if not system.vertical_name:
             # Heights that count from nothing are metres now, and no shift of datum is theirs.
-            found[:, 2] = read[:, 2] * system.height_unit_m
-        found[:, 2] = np.where(has_its_height, found[:, 2], read[:, 2])
-        self._numbers = array("d", found.ravel().tolist())
-        if len(found):
-            self.shortfall = system.shortfall_over(found)
+            geodetic[:, 2] = recorded[:, 2] * system.height_unit_m
+        geodetic[:, 2] = np.where(has_its_height, geodetic[:, 2], recorded[:, 2])
+        self._numbers = array("d", geodetic.ravel().tolist())
+        if len(geodetic):
+            self.shortfall = system.shortfall_over(geodetic)
 
     @property
     def lat_lon_alt(self) -> FloatArray:
@@ -87,13 +87,13 @@ class WaypointRows:
         return np.frombuffer(bytes(self._codes), np.uint8)
 
 
-def number(text: str, what: str) -> float:
-    """A number as text; BadInput naming `what` when it is none. NaN and Inf pass: the waypoint they
-    belong to is named later."""
+def number(text: str, subject: str) -> float:
+    """A number as text; BadInput naming `subject` when it is none. NaN and Inf pass: the waypoint
+    they belong to is named later."""
     try:
         if "_" in text:  # Python's own way of writing 1_000
             raise ValueError
         return float(text)
     except ValueError:
         hint = "write decimals with a point" if "," in text else "write degrees and metres as plain numbers"
-        raise BadInput(f"{what} is {text[:40]!r}, no number: {hint}.") from None
+        raise BadInput(f"{subject} is {text[:40]!r}, no number: {hint}.") from None

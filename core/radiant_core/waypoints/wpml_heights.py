@@ -59,7 +59,7 @@ class WpmlHeights:
             without += bool(text) and modes[written] == "unknown"
         if without:
             named = [f"{name} {self._settings[name][:40]!r}" for name in _SETTINGS[:2] if self._settings.get(name)]
-            said = f"its {' and '.join(named)} is not known" if named else "it has no executeHeightMode and no heightMode"
-            self._rows.notes.append(f"{without} heights of a DJI route are not used, for {said}, which would say what they count from.")
+            reason = f"its {' and '.join(named)} is not known" if named else "it has no executeHeightMode and no heightMode"
+            self._rows.notes.append(f"{without} heights of a DJI route are not used, for {reason}, which would say what they count from.")
         self._waiting.clear()
         self._settings.clear()

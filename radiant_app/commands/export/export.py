@@ -148,13 +148,13 @@ def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]
     about: dict[str, dict[str, Any]] = {}
     for index, name in enumerate(run.scene.cameras.names):
         edge, device = int(roles.edge_of_camera[index]), int(roles.device_of_camera[index])
-        known = {
+        properties = {
             "held_out": bool(roles.held_out[index]),
             "edge": None if edge < 0 else roles.edge_ids[edge],
             "device": None if device < 0 else roles.device_ids[device],
             "psnr_db": psnr_db.get(name),
         }
-        about[name] = {key: value for key, value in known.items() if value is not None}
+        about[name] = {key: value for key, value in properties.items() if value is not None}
     crs = None if request.crs is None else parse_crs(request.crs)
     save_scene_geojson(request.out, run.scene, run.cloud_plan, run.edge_plans, about, crs)
     return {"regions": sum(len(border) >= 3 for border in run.cloud_plan.borders), "cameras": len(run.scene.cameras)}
@@ -243,7 +243,7 @@ def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface,
             long_side_px=request.pictures_px,
             memory_bytes=available_bytes(),
             scratch=request.out.parent,
-            report=lambda done, total: report(done, total, "views"),
+            report=lambda num_done, total: report(num_done, total, "views"),
         )
     if surface.voxel > surface.finest_voxel:
         display(Decided(decision=_resolution_decision(surface, run.unit)))

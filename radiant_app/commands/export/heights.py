@@ -46,13 +46,13 @@ class SurfaceExport:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Found:
+class _SurveyHeights:
     survey: Survey
     points: SurfacePoints
     heights: HeightMap
 
     def figures(self, heights: HeightMap) -> dict[str, Any]:
-        known = heights.heights[np.isfinite(heights.heights)]
+        finite = heights.heights[np.isfinite(heights.heights)]
         inside = self.survey.ground.mask(heights.grid)
         return {
             "crs": self.survey.map_frame.crs,
@@ -63,32 +63,32 @@ class _Found:
             "measured": float(f"{(heights.source[inside] == 1).mean():.4g}"),
             "filled": float(f"{(heights.source[inside] == 2).mean():.4g}"),
             "sigma": float(f"{np.nanmedian(heights.sigma):.3g}"),
-            "lowest": round(float(known.min()), 3),
-            "highest": round(float(known.max()), 3),
+            "lowest": round(float(finite.min()), 3),
+            "highest": round(float(finite.max()), 3),
         }
 
 
-def _find(request: SurfaceExport, display: ProgressDisplay) -> _Found:
+def _find(request: SurfaceExport, display: ProgressDisplay) -> _SurveyHeights:
     survey = load_survey(request.model, request.crs, as_trained=request.as_trained)
     # Before minutes of matching: a slip in what was asked for is told at once.
     cell = cell_of(survey, request.resolution, PIXELS_PER_CELL)
     grid_over(survey.ground.low, survey.ground.high, cell, survey.map_frame)
     points = points_of_survey(survey, display, request.long_side_px)
-    return _Found(survey=survey, points=points, heights=surface_of_survey(survey, points, cell, display))
+    return _SurveyHeights(survey=survey, points=points, heights=surface_of_survey(survey, points, cell, display))
 
 
 def export_dsm(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
     """Heights of the topmost surface as a GeoTIFF of three bands."""
-    found = _find(request, display)
-    return _save_heights(request, found, found.heights)
+    surface = _find(request, display)
+    return _save_heights(request, surface, surface.heights)
 
 
 def export_dtm(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
     """Heights of the ground without buildings and trees, as a GeoTIFF of three bands."""
     from radiant_core.survey.terrain import terrain
 
-    found = _find(request, display)
-    return _save_heights(request, found, terrain(found.heights, found.points.gsd))
+    surface = _find(request, display)
+    return _save_heights(request, surface, terrain(surface.heights, surface.points.gsd))
 
 
 def export_contours(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
@@ -97,13 +97,13 @@ def export_contours(request: SurfaceExport, display: ProgressDisplay) -> dict[st
     from radiant_core.survey.geojson import line_feature, to_geojson
     from radiant_core.survey.terrain import contours, terrain
 
-    found = _find(request, display)
-    ground = terrain(found.heights, found.points.gsd)
+    surface = _find(request, display)
+    ground = terrain(surface.heights, surface.points.gsd)
     interval = request.interval if request.interval is not None else _usual_interval(ground)
     lines = contours(ground, interval)
-    features = [line_feature(found.survey.map_frame, _at(line), {"height": round(line.height, 6)}) for line in lines]
-    write_json(request.out, to_geojson(found.survey.map_frame, features))
-    return {**found.figures(ground), "interval": interval, "lines": len(lines)}
+    features = [line_feature(surface.survey.map_frame, _at(line), {"height": round(line.height, 6)}) for line in lines]
+    write_json(request.out, to_geojson(surface.survey.map_frame, features))
+    return {**surface.figures(ground), "interval": interval, "lines": len(lines)}
 
 
 def _at(line: Contour) -> FloatArray:
@@ -117,12 +117,12 @@ def export_laz(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
     from radiant_core.export.point_cloud import save_laz
     from radiant_core.survey.terrain import terrain
 
-    found = _find(request, display)
-    ground, _ = terrain(found.heights, found.points.gsd).at(found.points.points[:, :2])
-    is_ground = np.abs(found.points.points[:, 2] - ground) < GROUND_WITHIN_GSD * found.points.gsd
-    map_frame = found.survey.map_frame
-    save_laz(request.out, found.points.points, found.points.colors, is_ground, map_frame.epsg, map_frame.vertical_epsg)
-    return {"points": len(is_ground), "ground": float(f"{is_ground.mean():.3g}"), **found.figures(found.heights)}
+    surface = _find(request, display)
+    ground, _ = terrain(surface.heights, surface.points.gsd).at(surface.points.points[:, :2])
+    is_ground = np.abs(surface.points.points[:, 2] - ground) < GROUND_WITHIN_GSD * surface.points.gsd
+    map_frame = surface.survey.map_frame
+    save_laz(request.out, surface.points.points, surface.points.colors, is_ground, map_frame.epsg, map_frame.vertical_epsg)
+    return {"points": len(is_ground), "ground": float(f"{is_ground.mean():.3g}"), **surface.figures(surface.heights)}
 
 
 def export_glb(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
@@ -131,11 +131,11 @@ def export_glb(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
     from radiant_core.export.mesh_glb import save_glb
     from radiant_core.survey.height_mesh import height_mesh
 
-    found = _find(request, display)
-    map_frame = found.survey.map_frame
+    surface = _find(request, display)
+    map_frame = surface.survey.map_frame
     offset = np.zeros(3) if map_frame.system is None else map_offset(map_frame.from_world(np.zeros((1, 3)))[0])
-    mesh = height_mesh(found.heights, offset)
-    picture = _picture(found, display)
+    mesh = height_mesh(surface.heights, offset)
+    picture = _picture(surface, display)
     about = {"crs": map_frame.crs, "offset_east_north_height": offset.tolist(), "axes": "east, up, south"}
     save_glb(request.out, mesh.vertices, mesh.triangles, mesh.uv, picture, about)
     return {
@@ -143,11 +143,11 @@ def export_glb(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
         "triangles": len(mesh.triangles),
         "offset": f"{', '.join(f'{value:.10g}' for value in offset)} (add it to east, north, height)",
         "texture": f"{picture.shape[1]} x {picture.shape[0]}",
-        **found.figures(found.heights),
+        **surface.figures(surface.heights),
     }
 
 
-def _save_heights(request: SurfaceExport, found: _Found, heights: HeightMap) -> dict[str, Any]:
+def _save_heights(request: SurfaceExport, surface: _SurveyHeights, heights: HeightMap) -> dict[str, Any]:
     raster = TiledRaster(
         place=heights.grid,
         shape=heights.grid.shape,
@@ -158,29 +158,29 @@ def _save_heights(request: SurfaceExport, found: _Found, heights: HeightMap) -> 
         classes=(2,),
     )
     save_tiles(request.out, raster, cut_tiles(heights.bands(NO_DATA), request.tile_px, NO_DATA))
-    return {**found.figures(heights), "no_data": NO_DATA, "bands": ", ".join(BANDS)}
+    return {**surface.figures(heights), "no_data": NO_DATA, "bands": ", ".join(BANDS)}
 
 
-def _picture(found: _Found, display: ProgressDisplay) -> NDArray[np.uint8]:
+def _picture(surface: _SurveyHeights, display: ProgressDisplay) -> NDArray[np.uint8]:
     """The orthophoto of the raster, at most 4096 px wide and high."""
     from radiant_core.survey.orthophoto import from_above, ortho_camera, render_tile
 
-    survey, grid = found.survey, found.heights.grid
+    survey, grid = surface.survey, surface.heights.grid
     cell = max(survey.ground.gsd, grid.cell * max(grid.shape) / MAX_PICTURE_PX)
     rows, columns = (max(1, round(side * grid.cell / cell)) for side in grid.shape)
     # As many cells as fit: the raster's corners are the picture's to half a pixel.
     fine = MapGrid(north_west=grid.north_west, cell=cell, rows=rows, columns=columns, epsg=grid.epsg, vertical_epsg=grid.vertical_epsg)
-    seen = from_above(survey.splats, support_of_survey(survey, display, 640), survey.run.scene.cameras)
+    splats_from_above = from_above(survey.splats, support_of_survey(survey, display, 640), survey.run.scene.cameras)
     with stage_bar(display, "orthophoto") as report:
         report(0, 1, "picture")
-        tile = render_tile(seen, ortho_camera(fine, survey.map_frame, survey.ground.level, (0, 0), fine.shape))
+        tile = render_tile(splats_from_above, ortho_camera(fine, survey.map_frame, survey.ground.level, (0, 0), fine.shape))
         report(1, 1, "picture")
     return tile.image
 
 
 def _usual_interval(heights: HeightMap) -> float:
     """1, 2 or 5 times a power of ten that gives some twenty levels."""
-    known: FloatArray = heights.heights[np.isfinite(heights.heights)]
-    wanted = max(float(np.ptp(np.quantile(known, [0.01, 0.99]))), 1e-6) / NUM_LEVELS
+    finite: FloatArray = heights.heights[np.isfinite(heights.heights)]
+    wanted = max(float(np.ptp(np.quantile(finite, [0.01, 0.99]))), 1e-6) / NUM_LEVELS
     power = 10.0 ** np.floor(np.log10(wanted))
     return float(f"{min((step * power for step in (1, 2, 5, 10) if step * power >= wanted), default=10 * power):.6g}")

@@ -39,13 +39,13 @@ def export_lod(request: ExportRequest, display: ProgressDisplay) -> dict[str, An
             splats,
             regions,
             limits,
-            lambda done, total: report(done, total, "Gaussians"),
+            lambda num_done, total: report(num_done, total, "Gaussians"),
         )
         place = _place_of(request).write_local(request.out / META_NAME)
     errors = {name: float(f"{value:.3g}") for name, value in asdict(figures.errors).items()}
     levels = {
         "levels": ", ".join(f"{count:,}" for count in figures.counts),
-        **_told(limits),
+        **_limit_texts(limits),
         "far_field": figures.num_far,
         "chunks": figures.num_chunks,
     }
@@ -71,10 +71,10 @@ def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
             splats,
             regions,
             TileOptions(frame=frame, limits=limits, form=form),
-            lambda done, total: report(done, total, "Gaussians"),
+            lambda num_done, total: report(num_done, total, "Gaussians"),
         )
         written = place.write_local(request.out / TILESET_NAME)
-    return {"gaussians": len(splats), "levels": ", ".join(f"{count:,}" for count in counts), **_told(limits), **cleaned, **written}
+    return {"gaussians": len(splats), "levels": ", ".join(f"{count:,}" for count in counts), **_limit_texts(limits), **cleaned, **written}
 
 
 def _warn_of_form(form: TileContent, splats: Splats, display: ProgressDisplay) -> None:
@@ -82,11 +82,11 @@ def _warn_of_form(form: TileContent, splats: Splats, display: ProgressDisplay) -
     from radiant_core.io.spz_cuts import spz_cuts
 
     if form == "plain":
-        said = (
+        message = (
             "CesiumJS (1.139 to 1.145) stops at plain tiles with an error and draws nothing more: they are for readers of glTF's extension "
             "itself, such as three.js; --tiles spz is what CesiumJS draws."
         )
-        display(Warned(stage="export", message=said))
+        display(Warned(stage="export", message=message))
         return
     # Each tile has its own middle and as many bits as its centres need.
     if lost := replace(spz_cuts(splats), num_left_out=0).sentence():
@@ -103,7 +103,7 @@ def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str,
     page = scene_page(
         request.model, splats, with_photographs=request.photographs, as_trained=request.as_trained, surroundings=request.surroundings
     )
-    shown = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs), **left_out_of(model)}
+    counts = {"gaussians": len(page.splats), "places": len(page.places), "photographs": len(page.pairs), **left_out_of(model)}
     if request.out.suffix.lower() == ".html":
         from radiant_core.export.sog import moved_sentence
 
@@ -111,15 +111,15 @@ def export_viewer(request: ExportRequest, display: ProgressDisplay) -> dict[str,
             display(Warned(stage="export", message=lost))
         if request.num_levels is not None or request.fit_levels is not None or request.regions:
             raise BadInput("--levels, --fit-levels and --regions are of a folder, and one file has no levels: leave them out.")
-        return {**shown, "bytes": save_single_page(request.out, page)}
+        return {**counts, "bytes": save_single_page(request.out, page)}
     regions = lod_regions(request.model, page.splats, request.regions)
     limits = _limits_of(request, LodLimits(), page.splats, regions, display)
     with create_folder(request.out, whole=True), stage_bar(display, "page") as report:
-        figures = save_page(request.out, page, regions, limits, lambda done, total: report(done, total, "Gaussians"))
+        figures = save_page(request.out, page, regions, limits, lambda num_done, total: report(num_done, total, "Gaussians"))
     return {
-        **shown,
+        **counts,
         "levels": ", ".join(f"{count:,}" for count in figures.counts),
-        **_told(limits),
+        **_limit_texts(limits),
         "open": "on any static host: index.html",
     }
 
@@ -137,18 +137,18 @@ def _limits_of(
     takes_s = fitting_s(len(splats), num_levels, num_chunks)
     fit = takes_s <= MAX_FITTING_S if request.fit_levels is None else request.fit_levels
     if request.fit_levels is None and not fit:
-        said = (
+        message = (
             f"the coarser levels of {len(splats):,} Gaussians are merged, not fitted: fitting brings them some 1 to 5 dB nearer to the"
             f" finest and takes about {takes_s / 60:.0f} min of processor time; --fit-levels does it, --no-fit-levels keeps this quiet."
         )
-        display(Warned(stage="export", message=said))
+        display(Warned(stage="export", message=message))
     if not (fit and num_levels > 1):
         return limits
     # Only a run says which way is up.
     return replace(limits, fit=partial(fit_level, from_above=request.model.is_dir() or bool(request.regions)))
 
 
-def _told(limits: LodLimits) -> dict[str, str]:
+def _limit_texts(limits: LodLimits) -> dict[str, str]:
     """How the coarser levels were made, for the command line."""
     return {"coarser_levels": "fitted where that is nearer" if limits.fit else "merged"}
 

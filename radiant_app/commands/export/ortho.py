@@ -29,20 +29,20 @@ def export_ortho(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
     ground = survey.ground
     grid = grid_over(ground.low, ground.high, cell_of(survey, request.resolution, 1.0), survey.map_frame)
     raster = TiledRaster(place=grid, shape=grid.shape, bands=BANDS, tile_px=tile_px, dtype=np.uint8, colors=True, classes=(4,))
-    seen = from_above(survey.splats, support_of_survey(survey, display, 640), survey.run.scene.cameras)
+    splats_from_above = from_above(survey.splats, support_of_survey(survey, display, 640), survey.run.scene.cameras)
     counts = {"seen": 0, "weak": 0}
     with stage_bar(display, "orthophoto") as report:
 
         def tiles() -> Iterator[NDArray[np.uint8]]:
             across = -(-grid.columns // tile_px)
             total = -(-grid.rows // tile_px) * across
-            for done, tile in enumerate(ortho_tiles(seen, grid, survey.map_frame, ground.level, tile_px), 1):
-                row, column = tile_px * ((done - 1) // across), tile_px * ((done - 1) % across)
-                known = tile.known[: grid.rows - row, : grid.columns - column]
-                counts["seen"] += int(known.sum())
-                counts["weak"] += int((known & (tile.views[: known.shape[0], : known.shape[1]] < 2)).sum())
-                report(done, total, "tiles")
-                if done == total and not counts["seen"]:
+            for number, tile in enumerate(ortho_tiles(splats_from_above, grid, survey.map_frame, ground.level, tile_px), 1):
+                row, column = tile_px * ((number - 1) // across), tile_px * ((number - 1) % across)
+                has_color = tile.is_known[: grid.rows - row, : grid.columns - column]
+                counts["seen"] += int(has_color.sum())
+                counts["weak"] += int((has_color & (tile.views[: has_color.shape[0], : has_color.shape[1]] < 2)).sum())
+                report(number, total, "tiles")
+                if number == total and not counts["seen"]:
                     raise BadInput("the model is nowhere opaque from above, so there is no orthophoto: train it further first.")
                 yield tile.bands()
 

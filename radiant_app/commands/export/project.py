@@ -39,7 +39,7 @@ def _export_project(request: ExportRequest, display: ProgressDisplay, writer: st
         scene = place.move.move_scene(scene)
     photographs = photographs_of(request.model)
     with create_folder(request.out, whole=True), stage_bar(display, "export") as report:
-        counts = getattr(projects, writer)(request.out, scene, photographs, lambda done, total: report(done, total, "photographs"))
+        counts = getattr(projects, writer)(request.out, scene, photographs, lambda num_done, total: report(num_done, total, "photographs"))
     if photographs.images is None:
         message = "the photographs stay with their devices: images/ is not written, and whoever trains needs them there."
         display(Warned(stage="export", message=message))

@@ -16,7 +16,7 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_core.choices import ExportFormat, SpzVersion, TileContent
 from radiant_core.errors import BadInput
 from radiant_core.geometry.cleaning import SupportStep, Surroundings, keeps
-from radiant_core.georef.given_frame import GIVEN
+from radiant_core.georef.given_frame import GIVEN_CRS
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
 
@@ -135,8 +135,8 @@ def _require_system(request: ExportRequest, kind: ExportFormat) -> None:
         if request.require_grids:
             raise BadInput("--require-grids is of a system that is asked for: give it with --crs.")
         return
-    if request.crs == GIVEN and kind not in PLACED:
-        raise BadInput(f"--crs {GIVEN} is of {', '.join(PLACED)} files: leave it out, or name a system such as EPSG:32632.")
+    if request.crs == GIVEN_CRS and kind not in PLACED:
+        raise BadInput(f"--crs {GIVEN_CRS} is of {', '.join(PLACED)} files: leave it out, or name a system such as EPSG:32632.")
     if kind == "tiles":
         raise BadInput("3D Tiles lie on the globe in its own axes (ECEF, EPSG:4978), as the format wants it: leave --crs out.")
     if kind in LEVELLED:
@@ -164,9 +164,9 @@ def _without_surroundings(
     from radiant_viewer.runs.shown_model import framed_box, model_box, shown_model
 
     run = load_run_view(request.model, as_trained=request.as_trained) if request.model.is_dir() else None
-    shown = shown_model(splats, model_box(splats) if run is None else framed_box(run.scene, run.cloud_plan))
-    display(Decided(decision=replace(shown.decision, stage="export", reason="asked for by --no-surroundings", forced=True)))
-    return shown.splats, {**figures, "left_out_around": int(shown.around.sum())}
+    cropped = shown_model(splats, model_box(splats) if run is None else framed_box(run.scene, run.cloud_plan))
+    display(Decided(decision=replace(cropped.decision, stage="export", reason="asked for by --no-surroundings", forced=True)))
+    return cropped.splats, {**figures, "left_out_around": int(cropped.around.sum())}
 
 
 def _without_unconstrained(request: ExportRequest, display: ProgressDisplay) -> tuple[Splats, dict[str, Any]]:
@@ -177,12 +177,12 @@ def _without_unconstrained(request: ExportRequest, display: ProgressDisplay) -> 
     around = Surroundings(points=run.scene.points, support=lambda: support)
     loose = model.cleaned.kept & ~keeps(SupportStep(), model.whole, around)
     if not loose.any() or (loose == model.cleaned.kept).all():
-        said = f"{int(loose.sum()):,} of {len(model.splats):,} Gaussians are unconstrained: nothing is left out."
-        display(Warned(stage="clean", message=said))
+        message = f"{int(loose.sum()):,} of {len(model.splats):,} Gaussians are unconstrained: nothing is left out."
+        display(Warned(stage="clean", message=message))
         return model.splats, {**left_out_of(model), "left_out": 0}
     save_ply(request.side_file, model.whole.select(loose))
-    shown = support.shown_px
-    shares = {"left_out_share_of_pixels": float(f"{shown[loose].sum() / max(shown[model.cleaned.kept].sum(), 1e-9):.3g}")}
+    pixel_counts = support.shown_px
+    shares = {"left_out_share_of_pixels": float(f"{pixel_counts[loose].sum() / max(pixel_counts[model.cleaned.kept].sum(), 1e-9):.3g}")}
     figures = {**left_out_of(model), "left_out": int(loose.sum()), **shares, "left_out_file": str(request.side_file)}
     return model.whole.select(model.cleaned.kept & ~loose), figures
 

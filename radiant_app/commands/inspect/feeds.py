@@ -83,13 +83,13 @@ class _Progress:
     def __init__(self, run: Path) -> None:
         self._run = run
         self._home = _home_of(run)
-        self._read: tuple[tuple[object, ...], RunProgress] | None = None
+        self._cached: tuple[tuple[object, ...], RunProgress] | None = None
 
     def __call__(self) -> RunProgress:
         stamps = progress_stamps(self._run)
-        if self._read is None or self._read[0] != stamps:
-            self._read = (stamps, read_progress(self._run))
-        return replace(self._read[1], machines=tuple(row.text for row in read_rows(self._home))) if self._home else self._read[1]
+        if self._cached is None or self._cached[0] != stamps:
+            self._cached = (stamps, read_progress(self._run))
+        return replace(self._cached[1], machines=tuple(row.text for row in read_rows(self._home))) if self._home else self._cached[1]
 
 
 def _home_of(run: Path) -> Path | None:

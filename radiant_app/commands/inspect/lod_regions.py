@@ -28,8 +28,8 @@ def lod_regions(model: Path, splats: Splats, runs: Sequence[Path]) -> tuple[LodR
 
     named = tuple(runs) or ((model,) if model.is_dir() else ())
     views = [load_run_view(run) for run in named]
-    found = [region for view in views for region in _regions_of(view, views[0])]
-    return tuple(found) or (whole_region(splats.means),)
+    regions = [region for view in views for region in _regions_of(view, views[0])]
+    return tuple(regions) or (whole_region(splats.means),)
 
 
 def _regions_of(run: RunView, first: RunView) -> list[LodRegion]:
@@ -40,10 +40,10 @@ def _regions_of(run: RunView, first: RunView) -> list[LodRegion]:
 
 def _moved(polygon: FloatArray, run: RunView, first: RunView) -> FloatArray:
     """A polygon (V,2) m of one run in the frame of another."""
-    own, other = run.scene.frame, first.scene.frame
-    if run is first or np.array_equal(own.origin_lat_lon_alt, other.origin_lat_lon_alt):
+    frame, first_frame = run.scene.frame, first.scene.frame
+    if run is first or np.array_equal(frame.origin_lat_lon_alt, first_frame.origin_lat_lon_alt):
         return polygon
-    if own.kind != "metric" or other.kind != "metric":
+    if frame.kind != "metric" or first_frame.kind != "metric":
         raise BadInput(f"{run.folder} and {first.folder} have no frame in common: name runs with GPS, or one run alone.")
     corners = np.column_stack([polygon, np.zeros(len(polygon))])
-    return enu_change(own.origin_lat_lon_alt, other.origin_lat_lon_alt).apply(corners)[:, :2]
+    return enu_change(frame.origin_lat_lon_alt, first_frame.origin_lat_lon_alt).apply(corners)[:, :2]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from radiant_app.commands.inspect.start_look import Found
+from radiant_app.commands.inspect.start_look import SourceSummary
 from radiant_app.commands.machine.forecast import duration_text, forecast
 from radiant_app.commands.machine.this_machine import machine_profile
 from radiant_app.files.profile_file import library_profiles
@@ -61,8 +61,8 @@ class Quality:
     @property
     def options(self) -> tuple[str, ...]:
         """As they are typed."""
-        given = self.overrides
-        pairs = (("--steps", given.num_steps), ("--long-side-px", given.long_side_px), ("--max-splats", given.max_num_splats))
+        overrides = self.overrides
+        pairs = (("--steps", overrides.num_steps), ("--long-side-px", overrides.long_side_px), ("--max-splats", overrides.max_num_splats))
         preset = () if self.preset == "default" else ("--train-preset", self.preset)
         return (*preset, *(word for option, value in pairs if value is not None for word in (option, str(value))))
 
@@ -92,43 +92,43 @@ class StartForecast:
     warning: str = ""
 
 
-def forecast_start(found: Found, system: Path | None, quality: Quality) -> StartForecast:
+def forecast_start(source: SourceSummary, system: Path | None, quality: Quality) -> StartForecast:
     """What a run of what was found takes; BadInput where the system file is none, or its machines
     hold too few photographs."""
-    if not found.num_photographs:
+    if not source.num_photographs:
         return StartForecast(time="unknown before the frames are chosen", memory="", quality=_quality_text(quality))
-    if found.next == "plan":
-        return StartForecast(time=_system_time(found, system, quality) if system else "seconds", memory="", quality="none before capture")
+    if source.next == "plan":
+        return StartForecast(time=_system_time(source, system, quality) if system else "seconds", memory="", quality="none before capture")
     if system is None:
-        return _here(found, quality)
+        return _here(source, quality)
     return StartForecast(
-        time=_system_time(found, system, quality), memory=_memory_text(quality, found.num_trained), quality=_quality_text(quality)
+        time=_system_time(source, system, quality), memory=_memory_text(quality, source.num_trained), quality=_quality_text(quality)
     )
 
 
-def _here(found: Found, quality: Quality) -> StartForecast:
+def _here(source: SourceSummary, quality: Quality) -> StartForecast:
     measured = machine_profile()
     profile = measured if measured.is_file() else library_profiles()[LAPTOP]
     free = available_bytes()
-    told = forecast(found.num_photographs, profile, free, None if quality.name == "usual" else quality.training)
-    parts_s = {name: seconds for name, seconds in told.parts_s.items() if not (found.is_placed and name == "structure from motion")}
-    unknown = [] if found.is_placed else list(told.unknown)
+    estimate = forecast(source.num_photographs, profile, free, None if quality.name == "usual" else quality.training)
+    parts_s = {name: seconds for name, seconds in estimate.parts_s.items() if not (source.is_placed and name == "structure from motion")}
+    unknown = [] if source.is_placed else list(estimate.unknown)
     parts = ", ".join(f"{name} {duration_text(seconds)}" for name, seconds in parts_s.items())
-    by = told.machine if measured.is_file() else f"an estimate of {told.machine}; measure this machine to know better"
+    by = estimate.machine if measured.is_file() else f"an estimate of {estimate.machine}; measure this machine to know better"
     more = [*(f"{name} not known" for name in unknown), "scoring and the report come on top"]
-    more += [f"beyond what was measured: {', '.join(told.extrapolated)}"] if told.extrapolated else []
-    division = told.division
+    more += [f"beyond what was measured: {', '.join(estimate.extrapolated)}"] if estimate.extrapolated else []
+    division = estimate.division
     models = "" if division.num_devices == 1 else f", {division.num_devices} models of parts, which are joined"
     return StartForecast(
         time=f"about {duration_text(sum(parts_s.values()))} ({parts}; {'; '.join(more)}), by {by}",
         memory=f"{division.needed_bytes / 1e9:.1f} GB of {free / 1e9:.1f} GB free{models}",
         quality=_quality_text(quality),
-        warning=told.shortage or "",
+        warning=estimate.shortage or "",
     )
 
 
-def _system_time(found: Found, path: Path, quality: Quality) -> str:
-    num, train = found.num_trained, quality.training
+def _system_time(source: SourceSummary, path: Path, quality: Quality) -> str:
+    num, train = source.num_trained, quality.training
     system = load_system(path)
     scaled = scaled_to_training(system, train, quality.preset, num)
     system = with_short_joins(with_step_law(scaled.system, train, num), train, num, AggregateConfig())
@@ -158,23 +158,23 @@ def _round(steps: float) -> int:
     return max(100, round(steps / 100) * 100)
 
 
-def command_of(found: Found, out: Path, system: Path | None, quality: Quality) -> tuple[str, ...]:
+def command_of(source: SourceSummary, out: Path, system: Path | None, quality: Quality) -> tuple[str, ...]:
     """The arguments of `radiant` that begin it; BadInput for a folder that is taken."""
     machines = () if system is None else ("--system", str(system))
-    if found.next == "plan":
+    if source.next == "plan":
         plan = out if out.suffix == ".json" else out / "plan.json"
-        return ("plan", str(found.path), "--out", str(plan), *machines, *quality.options)
+        return ("plan", str(source.path), "--out", str(plan), *machines, *quality.options)
     if out.is_dir() and any(out.iterdir()):
         raise BadInput(f"{out} is not empty: choose another folder for the result, or open it to go on with a run there.")
-    return ("run", str(found.path), "--out", str(out), *machines, *quality.options)
+    return ("run", str(source.path), "--out", str(out), *machines, *quality.options)
 
 
 def free_folder(source: Path, ending: str = "_run") -> Path:
     """A folder beside a source that is not there yet."""
     stem = source.parent.name if source.name == "images" and source.parent.name else source.stem if source.is_file() else source.name
-    beside = source.parent.parent if source.name == "images" else source.parent
+    parent = source.parent.parent if source.name == "images" else source.parent
     names = (f"{stem}{ending}{'' if number == 1 else f'_{number}'}" for number in range(1, 10_000))
-    return next(beside / name for name in names if not (beside / name).exists())
+    return next(parent / name for name in names if not (parent / name).exists())
 
 
 @dataclass(frozen=True, kw_only=True)

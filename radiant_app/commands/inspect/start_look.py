@@ -38,7 +38,7 @@ FROM_GPS, FROM_FLIGHT = "GPS of the photographs", "waypoints of the flight"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
+class SourceSummary:
     """What a path is. places (P,2): east and north, of what `places_are`, metres unless `unit` says
     otherwise; empty where nothing says where photographs were taken."""
 
@@ -61,7 +61,7 @@ class Found:
         return self.num_photographs - -(-self.num_photographs // 8)
 
 
-def look_at(path: Path, report: Report = lambda done, total: None) -> Found:
+def look_at(path: Path, report: Report = lambda num_done, total: None) -> SourceSummary:
     """What `path` is; BadInput, with what would do, for anything that nothing is done with."""
     if not path.exists():
         raise BadInput(f"there is neither a folder nor a file {path}: choose another.")
@@ -72,30 +72,30 @@ def look_at(path: Path, report: Report = lambda done, total: None) -> Found:
         return opened
     kind, images, posed = detect_source(path)
     if kind == "film":
-        return _found(path, "a folder of films, of which the run takes the sharpest frames")
+        return _summary_of(path, "a folder of films, of which the run takes the sharpest frames")
     if kind == "mill19":
-        num_views = sum(1 for each in (path / "train" / "metadata").iterdir() if each.is_file())
-        return replace(_found(path, "a Mill 19 folder: photographs with poses"), num_photographs=num_views, is_placed=True)
+        num_views = sum(1 for file in (path / "train" / "metadata").iterdir() if file.is_file())
+        return replace(_summary_of(path, "a Mill 19 folder: photographs with poses"), num_photographs=num_views, is_placed=True)
     return _photographs(path, images, kind, posed, report)
 
 
-def _file(path: Path) -> Found:
+def _file(path: Path) -> SourceSummary:
     if model_kind(path) is not None:
-        return _found(path, "a model", next_step="open")
+        return _summary_of(path, "a model", next_step="open")
     if plan_file_of(path) is not None and _is_plan(path):
-        return _found(path, "a plan", next_step="open")
+        return _summary_of(path, "a plan", next_step="open")
     if path.suffix.lower() in WAYPOINT_SUFFIXES:
-        found = read_waypoints(path)
-        places = found.waypoints.positions_m[:, :2]
+        waypoints = read_waypoints(path)
+        places = waypoints.waypoints.positions_m[:, :2]
         title = f"{len(places):,} waypoints before capture, {_extent(places)}: a plan deals them to machines"
-        return Found(
+        return SourceSummary(
             path=path,
             title=title,
             next="plan",
             num_photographs=len(places),
             places=places,
             places_are=FROM_FLIGHT,
-            notes=found.warnings,
+            notes=waypoints.warnings,
         )
     if path.suffix.lower() == ".toml":
         from radiant_app.files.job_file import is_job_file, load_run_file
@@ -104,31 +104,31 @@ def _file(path: Path) -> Found:
             raise BadInput(f"{path} is a job file of several scenes: type 'radiant run {path} --out FOLDER'.")
         return replace(look_at(Path(load_run_file(path)["source"])), path=path, title=f"a run file, {path.name}")
     detect_source(path)
-    return _found(path, "a film, of which the run takes the sharpest frames")
+    return _summary_of(path, "a film, of which the run takes the sharpest frames")
 
 
-def _opened_folder(path: Path) -> Found | None:
+def _opened_folder(path: Path) -> SourceSummary | None:
     kind = kind_of(path)
     if plan_file_of(path) is not None:
-        return _found(path, "the folder of a plan", next_step="open")
+        return _summary_of(path, "the folder of a plan", next_step="open")
     if kind is None or (kind.name.startswith("a COLMAP model") and not is_planned(path)):
         return None
     if kind.name.startswith("an export"):
         raise BadInput(f"{path} is {kind.name}: {kind.use}.")
-    return _found(path, kind.name, next_step="open")
+    return _summary_of(path, kind.name, next_step="open")
 
 
-def _photographs(path: Path, images: Path, kind: SourceKind, posed: Path | None, report: Report) -> Found:
+def _photographs(path: Path, images: Path, kind: SourceKind, posed: Path | None, report: Report) -> SourceSummary:
     heads = photograph_heads(images, report)
     copies = file_copies({name: images / name for name in heads})
     names = [name for name in heads if name not in copies]
     gps = [place for name in names if (place := heads[name].lat_lon_alt) is not None]
     places, places_are, unit = _gps_places(gps), FROM_GPS, "m"
-    what = f"{len(names):,} photographs"
+    subject = f"{len(names):,} photographs"
     if kind == "colmap" and posed is not None:
-        what = f"a COLMAP project with {len(names):,} photographs"
+        subject = f"a COLMAP project with {len(names):,} photographs"
     elif kind == "alignment" and posed is not None and (form := format_of(posed)) is not None:
-        what = f"{len(names):,} photographs and their alignment by {form.program} ({posed.name}), which is used"
+        subject = f"{len(names):,} photographs and their alignment by {form.program} ({posed.name}), which is used"
     if not len(places) and posed is not None:
         places, places_are, unit = _posed_places(kind, posed, images), "poses of the alignment", "units"
     where = "none with GPS" if not len(places) else f"{len(gps):,} with GPS, {_extent(places)}" if gps else "places by the alignment"
@@ -142,8 +142,8 @@ def _photographs(path: Path, images: Path, kind: SourceKind, posed: Path | None,
         *([f"{len(copies)} files are copies of others and left out."] if copies else []),
         *(beside_warning(images) if kind == "photographs" else ()),
     )
-    title = f"{what}{pixels}; {where}"
-    return Found(
+    title = f"{subject}{pixels}; {where}"
+    return SourceSummary(
         path=path,
         title=title,
         next="run",
@@ -172,8 +172,8 @@ def _posed_places(kind: SourceKind, posed: Path, images: Path) -> FloatArray:
     return np.asarray(-np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])[:, :2])
 
 
-def _found(path: Path, title: str, *, next_step: Next = "run") -> Found:
-    return Found(path=path, title=title, next=next_step, places=np.zeros((0, 2)))
+def _summary_of(path: Path, title: str, *, next_step: Next = "run") -> SourceSummary:
+    return SourceSummary(path=path, title=title, next=next_step, places=np.zeros((0, 2)))
 
 
 def _extent(places: FloatArray) -> str:

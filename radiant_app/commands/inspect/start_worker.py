@@ -2,7 +2,7 @@
 
 One JSON line per request on standard input, one per answer on standard output, in order:
 
-    {"look": path}                              →  what it is (`start_look.Found`), "out" for a run
+    {"look": path}                              →  its `start_look.SourceSummary`, "out" for a run
     {"forecast": {"path", "out", "system", "system_as", "quality"}}
                                                 →  its lines and "command", arguments of `radiant`
                                                    that name the system file as `system_as`
@@ -34,7 +34,7 @@ from radiant_app.commands.inspect.start_forecast import (
     quality_of,
     save_system,
 )
-from radiant_app.commands.inspect.start_look import Found, look_at
+from radiant_app.commands.inspect.start_look import SourceSummary, look_at
 from radiant_app.files.profile_file import library_profiles, load_profile
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.strict import problem_sentence
@@ -48,31 +48,31 @@ class Starting:
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
-        self._found: Found | None = None
+        self._source: SourceSummary | None = None
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Do what is asked; a RadiantError becomes its sentence."""
-        asked = {"asked": request.get("asked", 0)}
+        reply = {"asked": request.get("asked", 0)}
         try:
             if "look" in request:
-                return asked | self._look(Path(request["look"]))
+                return reply | self._look(Path(request["look"]))
             if "forecast" in request:
-                return asked | self._forecast(request["forecast"])
+                return reply | self._forecast(request["forecast"])
             if "machines" in request:
-                return asked | _write_machines(request["machines"], Path(request["path"]))
-            return asked | {"profiles": {name: load_profile(path).machine for name, path in library_profiles().items()}}
+                return reply | _write_machines(request["machines"], Path(request["path"]))
+            return reply | {"profiles": {name: load_profile(path).machine for name, path in library_profiles().items()}}
         except RadiantError as error:
-            return asked | {"error": str(error)}
+            return reply | {"error": str(error)}
 
     def _look(self, path: Path) -> dict[str, Any]:
-        found = self._found = look_at(path, lambda done, total: self._say(f"reading {done:,} of {total:,} photographs"))
-        step = 1 + len(found.places) // MAX_PLACES
+        source = self._source = look_at(path, lambda num_done, total: self._say(f"reading {num_done:,} of {total:,} photographs"))
+        step = 1 + len(source.places) // MAX_PLACES
         fields = ("title", "next", "num_photographs", "places_are", "unit", "notes")
-        out = "" if found.next == "open" else str(free_folder(path, "_plan" if found.next == "plan" else "_run"))
+        out = "" if source.next == "open" else str(free_folder(path, "_plan" if source.next == "plan" else "_run"))
         return {
-            **{name: getattr(found, name) for name in fields},
+            **{name: getattr(source, name) for name in fields},
             "path": str(path),
-            "places": found.places[::step].round(3).tolist(),
+            "places": source.places[::step].round(3).tolist(),
             "out": out,
         }
 
@@ -80,11 +80,11 @@ class Starting:
         path, name = Path(choice["path"]), choice["quality"]
         if name not in get_args(QualityName):
             raise BadInput(f"{name!r} is no quality: choose one of {', '.join(get_args(QualityName))}.")
-        found = self._found if self._found is not None and self._found.path == path else look_at(path)
+        source = self._source if self._source is not None and self._source.path == path else look_at(path)
         system, system_as = (Path(choice[key]) if choice.get(key) else None for key in ("system", "system_as"))
         quality = quality_of(name)
-        command = command_of(found, Path(choice["out"]), system_as or system, quality)
-        return {**asdict(forecast_start(found, system, quality)), "command": command}
+        command = command_of(source, Path(choice["out"]), system_as or system, quality)
+        return {**asdict(forecast_start(source, system, quality)), "command": command}
 
 
 def _write_machines(rows: Any, path: Path) -> dict[str, Any]:

@@ -50,11 +50,11 @@ def scene_page(
     return page_of_model(splats, model.stem)
 
 
-def view(model: Path, port: int, display: ProgressDisplay, said: Callable[[str], None]) -> None:
+def view(model: Path, port: int, display: ProgressDisplay, say: Callable[[str], None]) -> None:
     """Make the page where it is not up to date, and serve it until Ctrl-C."""
     with _folder_of(model, display) as folder, served(folder, port) as address:
-        said(f"open {address}")
-        said(f"to send it: radiant export {model} FOLDER --format viewer, or NAME.html for one file. Ctrl-C ends it.")
+        say(f"open {address}")
+        say(f"to send it: radiant export {model} FOLDER --format viewer, or NAME.html for one file. Ctrl-C ends it.")
         _wait()
 
 
@@ -70,9 +70,9 @@ def _folder_of(model: Path, display: ProgressDisplay) -> Iterator[Path]:
     """The folder of the page: kept in a run, of a model alone for as long as it is looked at."""
     if not model.is_dir():
         splats = given_model(model, display).splats
-        with tempfile.TemporaryDirectory(prefix="radiant-view-") as made:
-            _make(Path(made), model, splats, display)
-            yield Path(made)
+        with tempfile.TemporaryDirectory(prefix="radiant-view-") as temporary:
+            _make(Path(temporary), model, splats, display)
+            yield Path(temporary)
         return
     require_model(model)
     key = content_key(model / "scene.ply", _record_of(model), __version__, SHA256)
@@ -113,4 +113,6 @@ def _replace(run: Path, key: str, display: ProgressDisplay) -> None:
 def _make(folder: Path, model: Path, splats: Splats | None, display: ProgressDisplay) -> None:
     page = scene_page(model, splats, with_photographs=True)
     with stage_bar(display, "page") as report:
-        save_page(folder, page, lod_regions(model, page.splats, ()), LodLimits(), lambda done, total: report(done, total, "Gaussians"))
+        save_page(
+            folder, page, lod_regions(model, page.splats, ()), LodLimits(), lambda num_done, total: report(num_done, total, "Gaussians")
+        )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from radiant_app.commands.plan.pictures import SYSTEM, beside
+from radiant_app.commands.plan.pictures import SYSTEM, sibling
 from radiant_app.files.constraints_file import dump_constraints
 from radiant_app.files.system_file import dump_system, load_system
 from radiant_app.report.prediction_error import SYSTEM_NAME
@@ -39,10 +39,10 @@ def plan_file_of(source: Path) -> Path | None:
             f"{source} is a run that lost its manifest.json: bring that file back, or look at the plan alone with "
             f"'radiant inspect {source / 'plan.json'} --scene {source}'."
         )
-    found = [path for path in sorted(source.glob("*.json")) if not path.stem.endswith("_start") and _is_plan(path)]
-    if len(found) > 1 and source / "plan.json" not in found:
-        raise BadInput(f"{source} holds {len(found)} plans, {found[0].name} and {found[1].name} among them: name one of the files.")
-    return (source / "plan.json" if source / "plan.json" in found else found[0]) if found else None
+    plans = [path for path in sorted(source.glob("*.json")) if not path.stem.endswith("_start") and _is_plan(path)]
+    if len(plans) > 1 and source / "plan.json" not in plans:
+        raise BadInput(f"{source} holds {len(plans)} plans, {plans[0].name} and {plans[1].name} among them: name one of the files.")
+    return (source / "plan.json" if source / "plan.json" in plans else plans[0]) if plans else None
 
 
 def open_inspector(source: Path, system: Path | None = None, scene: Path | None = None) -> int:
@@ -116,11 +116,11 @@ def _save_picture(source: Path, view: str | None, path: Path, picture: Picture) 
     from radiant_viewer.runs.plan_view import load_plan_view
     from radiant_viewer.runs.run_pictures import cameras_picture, plan_picture
 
-    shown = load_plan_view(plan, None if scene is None else _load_planned_scene(scene))
+    plan_view = load_plan_view(plan, None if scene is None else _load_planned_scene(scene))
     if view == "regions":
-        save_png(path, plan_picture(shown.scene, shown.cloud_plan, shown.edge_plans, size_wh=picture.size_wh))
+        save_png(path, plan_picture(plan_view.scene, plan_view.cloud_plan, plan_view.edge_plans, size_wh=picture.size_wh))
     else:
-        save_png(path, cameras_picture(shown.scene, shown.roles, size_wh=picture.size_wh))
+        save_png(path, cameras_picture(plan_view.scene, plan_view.roles, size_wh=picture.size_wh))
     return f"written: {path}"
 
 
@@ -166,15 +166,15 @@ def run_setting(run: Path, system: Path | None = None) -> PlanSetting:
     reason = f"The plan cannot be changed: {run.name} has no {SYSTEM_NAME}, it was planned by an earlier version; name one by --system."
     if folder_kind(run) != "run":
         reason = f"There is no plan to change: {run.name} was made without one."
-    own = run / SYSTEM_NAME
-    return _setting(_machines(system, [own], reason), run / f"plan{EDITS}")
+    system_path = run / SYSTEM_NAME
+    return _setting(_machines(system, [system_path], reason), run / f"plan{EDITS}")
 
 
 def plan_setting(plan: Path, system: Path | None = None) -> PlanSetting:
     """As `run_setting`, of a plan file."""
     reason = "The plan cannot be changed: its machines are not known; name the system file it was made with by --system."
-    machines = _machines(system, [beside(plan, SYSTEM), plan.parent / SYSTEM_NAME], reason)
-    return _setting(machines, beside(plan, EDITS), load_plan_file(plan))
+    machines = _machines(system, [sibling(plan, SYSTEM), plan.parent / SYSTEM_NAME], reason)
+    return _setting(machines, sibling(plan, EDITS), load_plan_file(plan))
 
 
 def _machines(named: Path | None, places: Sequence[Path], reason: str) -> tuple[System | None, str]:
@@ -182,11 +182,11 @@ def _machines(named: Path | None, places: Sequence[Path], reason: str) -> tuple[
     raises an error if it is broken, since everything but editing the plan works without."""
     if named is not None:
         return load_system(named, curves=True), ""
-    found = [path for path in places if path.is_file()]
-    if not found:
+    existing = [path for path in places if path.is_file()]
+    if not existing:
         return None, reason
     try:
-        return load_system(found[0], curves=True), ""
+        return load_system(existing[0], curves=True), ""
     except (BadInput, StoreDamaged) as error:
         return None, f"The plan cannot be changed: {error}"
 

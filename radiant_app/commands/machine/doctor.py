@@ -99,8 +99,8 @@ def _native() -> Finding:
 
 def _extra(name: str) -> Finding:
     missing, purpose = missing_modules(name), EXTRAS[name].purpose
-    found = f"{', '.join(missing)} not installed; for {purpose}" if missing else f"for {purpose}"
-    return Finding(name=f"extra {name}", ok=not missing, needed=False, found=found, advice=install_command(name))
+    state = f"{', '.join(missing)} not installed; for {purpose}" if missing else f"for {purpose}"
+    return Finding(name=f"extra {name}", ok=not missing, needed=False, found=state, advice=install_command(name))
 
 
 def _cuda() -> Finding:
@@ -109,12 +109,12 @@ def _cuda() -> Finding:
     if torch.cuda.is_available():
         name, gsplat = torch.cuda.get_device_name(0), not missing_modules("cuda")
         memory = f"{torch.cuda.get_device_properties(0).total_memory / 2**30:.0f} GiB"
-        found = f"{name}, {memory}" + ("" if gsplat else "; not used, for gsplat is not installed")
-        return Finding(name="CUDA device", ok=gsplat, needed=False, found=found, advice=install_command("cuda"))
+        state = f"{name}, {memory}" + ("" if gsplat else "; not used, for gsplat is not installed")
+        return Finding(name="CUDA device", ok=gsplat, needed=False, found=state, advice=install_command("cuda"))
     if torch.version.cuda is None and (card := _nvidia_card()) is not None:
-        found = f"{card}; not used, for torch {torch.__version__} is a build without CUDA"
+        state = f"{card}; not used, for torch {torch.__version__} is a build without CUDA"
         advice = f"{quote(sys.executable)} -m pip install --force-reinstall torch, then {install_command('cuda')}"
-        return Finding(name="CUDA device", ok=False, needed=False, found=found, advice=advice)
+        return Finding(name="CUDA device", ok=False, needed=False, found=state, advice=advice)
     return Finding(name="CUDA device", ok=False, needed=False, found="none; models are trained on the CPU")
 
 
@@ -145,9 +145,9 @@ def _memory() -> Finding:
 def _disk(num_photographs: int) -> Finding:
     free = shutil.disk_usage(Path.cwd()).free
     needed = DISK_BYTES_PER_PHOTOGRAPH * num_photographs
-    found = f"{free / 2**30:.1f} GiB; {num_photographs} photographs take some {needed / 2**30:.1f} GiB beside copies of themselves"
+    state = f"{free / 2**30:.1f} GiB; {num_photographs} photographs take some {needed / 2**30:.1f} GiB beside copies of themselves"
     ok = free >= max(needed, LEAST_FREE_GIB * 2**30)
-    return Finding(name="free disk here", ok=ok, needed=False, found=found, advice="free some, or give --out on another disk.")
+    return Finding(name="free disk here", ok=ok, needed=False, found=state, advice="free some, or give --out on another disk.")
 
 
 def _sample_scenes() -> Finding:
@@ -166,8 +166,8 @@ def _run_of(num_photographs: int, profile: Path | None, *, has_scenes: bool) -> 
         photographs = "" if has_scenes else "PHOTOGRAPHS "
         advice = f"radiant machine profile {photographs}--out machine.toml (5 minutes), then radiant machine check --profile machine.toml"
         return Finding(name=name, ok=False, needed=False, found=ELSEWHERE, advice=advice)
-    found = forecast(num_photographs, profile, available_bytes())
-    text = found.text
-    if found.shortage is not None:
-        text += f"; {found.shortage}"
+    estimate = forecast(num_photographs, profile, available_bytes())
+    text = estimate.text
+    if estimate.shortage is not None:
+        text += f"; {estimate.shortage}"
     return Finding(name=name, ok=True, needed=False, found=text)

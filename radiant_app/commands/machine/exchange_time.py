@@ -43,16 +43,16 @@ def measure_exchange() -> ExchangeTime:
     with tempfile.TemporaryDirectory(prefix="radiant_exchange_") as name:
         store = Path(name) / "store"
         command = [sys.executable, "-m", "radiant_app.commands.machine.exchange_time", str(store)]
-        other = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        peer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             round_trips_s = exchange_messages(store, rank=0)
-            other.wait(WAIT_S)
+            peer.wait(WAIT_S)
         except (RuntimeError, subprocess.TimeoutExpired) as error:
-            said = str(error).splitlines()[0]
-            raise StageFailed(f"two processes of this machine cannot exchange messages over gloo: {said}") from error
+            message = str(error).splitlines()[0]
+            raise StageFailed(f"two processes of this machine cannot exchange messages over gloo: {message}") from error
         finally:
-            other.kill()
-            other.wait()
+            peer.kill()
+            peer.wait()
     return ExchangeTime(latency_s=float(np.median(round_trips_s)) / 2, add_s_per_byte=adding_time())
 
 

@@ -151,10 +151,10 @@ def _training_stage(name: str, curves: Profile, count: int, factor: float, waves
 
 
 def _stage(name: str, fits: Sequence[FittedCurve | None], count: int, factor: float = 1.0) -> Stage:
-    known = [fit for fit in fits if fit is not None]
-    if len(known) < len(fits):
+    known_fits = [fit for fit in fits if fit is not None]
+    if len(known_fits) < len(fits):
         return name, None, False
-    return name, factor * sum(float(fit.curve(count)) for fit in known), any(count > FAR * fit.largest_count for fit in known)
+    return name, factor * sum(float(fit.curve(count)) for fit in known_fits), any(count > FAR * fit.largest_count for fit in known_fits)
 
 
 def duration_text(seconds: float) -> str:

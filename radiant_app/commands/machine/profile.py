@@ -108,9 +108,9 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
         exchange = _exchange(listen)
         seconds = clock() - begun_s
         listen(StageDone(stage=STAGE, seconds=seconds))
-    what = "the sample town" if request.source is None else f"{len(training.cameras)} photographs"
+    subject = "the sample town" if request.source is None else f"{len(training.cameras)} photographs"
     joining = f"{measured.num_epochs} epochs of retraining at edges"
-    source = f"radiant machine profile on {what}, {measured.num_steps:,} steps, {joining}, {seconds:.0f} s"
+    source = f"radiant machine profile on {subject}, {measured.num_steps:,} steps, {joining}, {seconds:.0f} s"
     key = training_key_of(train, request.preset)
     machine = request.machine or machine_label(request.num_threads, request.num_workers)
     return _write_profile(request.out, measured, key, machine, source, exchange)
@@ -189,9 +189,9 @@ def library_table() -> str:
     """The library's machines, aligned, each with the source of its figures."""
     lines = [f"{'profile':<14} {'kind':<9} {'100 photographs':>15}  training and source"]
     for name, path in library_profiles().items():
-        known = load_profile(path, name)
-        total_s = float(known.init_s.curve(100) + known.train_s.curve(100))
-        lines += [f"{name:<14} {known.kind:<9} {total_s:>13,.0f} s  {known.machine}; {known.key}", f"{'':<42}{known.source}"]
+        listed = load_profile(path, name)
+        total_s = float(listed.init_s.curve(100) + listed.train_s.curve(100))
+        lines += [f"{name:<14} {listed.kind:<9} {total_s:>13,.0f} s  {listed.machine}; {listed.key}", f"{'':<42}{listed.source}"]
     return "\n".join(lines)
 
 
@@ -253,7 +253,7 @@ def _write_profile(
 ) -> dict[str, Any]:
     joined = [sample for sample in measured.edges if sample.num_devices > 1]
     alone = [sample for sample in measured.edges if sample.num_devices == 1]
-    made = Profile(
+    result = Profile(
         name=out.name,
         kind="measured",
         machine="".join(character for character in machine if character.isprintable()).strip(),
@@ -273,19 +273,20 @@ def _write_profile(
         add_s_per_byte=None if exchange is None else exchange.add_s_per_byte,
     )
     with folder_made_for(out):
-        save_profile(out, made)
+        save_profile(out, result)
     fitted = {
         name: curve
         for name in (*_DEVICE_CURVES, "aggregate_s", "aggregate_alone_s", "merge_s", "sfm_s")
-        if (curve := getattr(made, name)) is not None
+        if (curve := getattr(result, name)) is not None
     }
+    frames = "not measured" if result.frames_s is None else f"{result.frames_s:.1f} s side by side, {result.frames_alone_s:.1f} s alone"
     return {
-        "machine": made.machine,
+        "machine": result.machine,
         "training": str(key),
         "measured_steps": measured.num_steps,
-        "largest_count": made.train_s.largest_count,
+        "largest_count": result.train_s.largest_count,
         "curves": {name: {**vars(curve.curve), "rmse": curve.rmse} for name, curve in fitted.items()},
-        "frames": "not measured" if made.frames_s is None else f"{made.frames_s:.1f} s side by side, {made.frames_alone_s:.1f} s alone",
+        "frames": frames,
         "exchange": "not measured" if exchange is None else _exchange_text(exchange),
         "check": _check(measured, joined),
         "warnings": " ".join(_noise(fitted)) or "none",
@@ -314,13 +315,13 @@ def _edge_curve(samples: Sequence[EdgeSample]) -> FittedCurve:
 def _check(measured: Measured, joined: Sequence[EdgeSample]) -> list[dict[str, Any]]:
     """A row per quantity for samples at the held-out count, predicted by curves of the others."""
     count = measured.held_out
-    held = [sample for sample in measured.devices if sample.num_cameras == count]
-    rest = [sample for sample in measured.devices if sample.num_cameras != count]
-    if count is None or not held or not rest:
+    samples_of_count = [sample for sample in measured.devices if sample.num_cameras == count]
+    other_samples = [sample for sample in measured.devices if sample.num_cameras != count]
+    if count is None or not samples_of_count or not other_samples:
         return []
-    curves = {name: _device_curve(rest, name) for name in _DEVICE_CURVES}
+    curves = {name: _device_curve(other_samples, name) for name in _DEVICE_CURVES}
     predicted = {name: float(curve.curve(count)) for name, curve in curves.items()}
-    mean = {name: float(np.mean([getattr(sample, name) for sample in held])) for name in _DEVICE_CURVES}
+    mean = {name: float(np.mean([getattr(sample, name) for sample in samples_of_count])) for name in _DEVICE_CURVES}
     rows = [
         _row("start-up", "s", count, predicted["init_s"], mean["init_s"]),
         _row("training", "s", count, predicted["train_s"], mean["train_s"]),

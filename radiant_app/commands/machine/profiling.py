@@ -229,9 +229,9 @@ class Measuring:
         train = training_among(NUM_MODELS, shorten_training(self.train, num_steps))
         for index, rows in enumerate(self._shares(count)):
             folder = self._folder(f"devices/{count}-{num_steps}-{index}")
-            own = self.scene.restricted_to(rows)
-            deal_files(self.images, own.cameras.names, folder / "photos")
-            tasks[folder] = DeviceTask(train=train, backend=self.backend, upload=UPLOAD, scene=own)
+            device_scene = self.scene.restricted_to(rows)
+            deal_files(self.images, device_scene.cameras.names, folder / "photos")
+            tasks[folder] = DeviceTask(train=train, backend=self.backend, upload=UPLOAD, scene=device_scene)
         seconds = self._run("device", tasks)
         summaries = [read_json(folder / "summary.json", ("train_s", "model_bytes")) for folder in tasks]
         train_s, model_bytes = (float(np.mean([summary[name] for summary in summaries])) for name in ("train_s", "model_bytes"))
@@ -321,7 +321,7 @@ class Measuring:
         counts = _counts_to_place(sizes)
         for index, count in enumerate(counts):
             each_s = sfm[-1][1] / sfm[-1][0] if sfm else _PLACED_S
-            self.left_s = [each_s * each for each in counts[index:]]
+            self.left_s = [each_s * num_photographs for num_photographs in counts[index:]]
             if sfm and self._elapsed_s + self.left_s[0] > time_s:
                 self.left_s = []
                 continue
@@ -365,8 +365,8 @@ class Measuring:
         """So many cameras on either side of the middle of the scene's long side: neighbours, since
         models that do not meet are not retrained. Beyond half of all, the first and the last."""
         order, middle = self._order, len(self._order) // 2
-        left, right = max(0, middle - count), min(len(order) - count, middle)
-        return np.sort(order[left : left + count]), np.sort(order[right : right + count])
+        start, second_start = max(0, middle - count), min(len(order) - count, middle)
+        return np.sort(order[start : start + count]), np.sort(order[second_start : second_start + count])
 
     @property
     def _order(self) -> NDArray[np.int64]:
@@ -398,9 +398,9 @@ class Measuring:
 
         self._report_progress(expected_s)
         leaves = tuple(Tree(id=stage, tier="device") for stage in nodes)
-        seen = executor.fold(Tree(id=STAGE, tier="cloud", children=leaves), lambda node: nodes.get(node.id), listen)
-        return [seen[stage].ended_s - seen[stage].started_s for stage in nodes]
+        spans = executor.fold(Tree(id=STAGE, tier="cloud", children=leaves), lambda node: nodes.get(node.id), listen)
+        return [spans[stage].ended_s - spans[stage].started_s for stage in nodes]
 
     def _report_progress(self, node_left_s: float) -> None:
-        done = self._elapsed_s
-        self.listen(StageProgress(stage=STAGE, done=done, total=done + node_left_s + sum(self.left_s), note=self.note))
+        elapsed_s = self._elapsed_s
+        self.listen(StageProgress(stage=STAGE, done=elapsed_s, total=elapsed_s + node_left_s + sum(self.left_s), note=self.note))

@@ -28,13 +28,13 @@ def measure() -> None:
     from radiant_app.commands.machine.profile import ProfileRequest, profile
     from radiant_app.report.progress import terminal_display
 
-    kept = machine_profile()
-    made = kept.with_name(NEXT)
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    made.unlink(missing_ok=True)
+    current = machine_profile()
+    measured = current.with_name(NEXT)
+    current.parent.mkdir(parents=True, exist_ok=True)
+    measured.unlink(missing_ok=True)
     with terminal_display() as listen:
-        profile(ProfileRequest(out=made), listen)
-    made.replace(kept)
+        profile(ProfileRequest(out=measured), listen)
+    measured.replace(current)
 
 
 def main() -> int:

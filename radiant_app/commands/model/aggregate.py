@@ -66,8 +66,8 @@ def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tu
             display(Warned(stage=f"edges/{folder.name}", message="it received no model, so that its region is left out."))
     models: dict[str, EdgeModel | str] = {}
     joined_s = 0.0
-    for edge, given in tasks.items():
-        task = replace(given, aggregate=config, memory_bytes=None)
+    for edge, edge_task in tasks.items():
+        task = replace(edge_task, aggregate=config, memory_bytes=None)
         arrived = receive_device_models(run / "edges" / edge, task.devices)
         stage = f"edges/{edge}"
         with stage_bar(display, stage):

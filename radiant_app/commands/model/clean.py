@@ -116,7 +116,7 @@ def measure_support(run: RunView, long_side_px: int, display: ProgressDisplay) -
     trained = [row for row, name in enumerate(run.scene.cameras.names) if name not in run.held_out]
     with stage_bar(display, "clean") as report:
         cameras = run.scene.cameras.select(np.array(trained, np.int64)).scaled(long_side_px)
-        return support_of(require_cleaned_model(run).whole, cameras, report=lambda done, total: report(done, total, "views"))
+        return support_of(require_cleaned_model(run).whole, cameras, report=lambda num_done, total: report(num_done, total, "views"))
 
 
 def _measure(run: RunView | None, model: CleanedModel, display: ProgressDisplay, *, anew: bool) -> None:

@@ -145,14 +145,14 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
     if cameras is not None:
         cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
         trained = load_cameras(scored / TRAINED_NAME) if (scored / TRAINED_NAME).is_file() else None
-        own = read_json(scored / OWN_NAME) if (scored / OWN_NAME).is_file() else {}
+        record = read_json(scored / OWN_NAME) if (scored / OWN_NAME).is_file() else {}
         return _HeldOut(
             cameras=cameras,
             photographs=scored / "photos",
             masks=scored / MASKS,
             untrained=load_splats(scored / INITIAL_NAME),
             trained=trained,
-            trained_photographs=Path(own.get("training_images", scored / "photos")),
+            trained_photographs=Path(record.get("training_images", scored / "photos")),
             captures=load_captures(scored),
         )
     if (folder / "delivered").is_dir():
@@ -200,14 +200,14 @@ def _require_shapes(cameras: Cameras, everything: Cameras, images: Path) -> None
     listing = list_photographs(images, names=names)
     if listing.stretches:
         raise BadInput(f"in {images} {listing.stretches[0].unstretched}, which cannot be compared with renders: save them in 8 bits.")
-    found = {photo.name: photo.size_wh for photo in listing.photographs}
+    size_of = {photo.name: photo.size_wh for photo in listing.photographs}
     for name, size_wh in zip(cameras.names, cameras.sizes_wh.tolist(), strict=True):
-        if name not in found:
+        if name not in size_of:
             raise BadInput(f"the held-out photograph {name!r} is missing or damaged in {images}: put the images of the model there.")
         camera_wh = (size_wh[0], size_wh[1])
-        ratios = [side / of_camera for side, of_camera in zip(found[name], camera_wh, strict=True)]
-        if abs(ratios[0] - ratios[1]) > 0.01 * max(ratios) or is_almost(found[name], camera_wh):
-            raise BadInput(misfit_text(f"photograph {name!r}", found[name], camera_wh))
+        ratios = [side / of_camera for side, of_camera in zip(size_of[name], camera_wh, strict=True)]
+        if abs(ratios[0] - ratios[1]) > 0.01 * max(ratios) or is_almost(size_of[name], camera_wh):
+            raise BadInput(misfit_text(f"photograph {name!r}", size_of[name], camera_wh))
 
 
 def _require_sizes(cameras: Cameras, lpips: Lpips | None) -> None:

@@ -86,7 +86,7 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     require_run(request.new, "scene.ply")
     require_current(request.new)
     # Runs made before a task could extend have no such key.
-    given = message_of(CloudTask, {"extends": None, **read_json(request.new / "cloud" / TASK_NAME, ("train", "num_dealt"))})
+    cloud_task = message_of(CloudTask, {"extends": None, **read_json(request.new / "cloud" / TASK_NAME, ("train", "num_dealt"))})
     if request.old.is_dir():
         require_run(request.old, "scene.ply")
     old = given_model(request.old, display, as_trained=True).splats
@@ -103,10 +103,10 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     margin_m = MARGIN * side_m if request.margin_m is None else request.margin_m
     task = CloudTask(
         edges=(STANDING, NEW),
-        num_dealt=(0, sum(given.num_dealt)),
+        num_dealt=(0, sum(cloud_task.num_dealt)),
         sites=(),
         weights=(),
-        train=given.train,
+        train=cloud_task.train,
         aggregate=AggregateConfig() if request.num_epochs is None else AggregateConfig(cloud_epochs=request.num_epochs, refine_epochs=0),
         backend=resolve_backend("auto"),
         extends=Extension(polygon=tuple((float(x), float(y)) for x, y in polygon), margin_m=margin_m),
@@ -159,10 +159,10 @@ def _virtual_cameras(run: Path) -> Cameras:
     inbox = run / "cloud" / "inbox"
     # Where frames come from GPS the cloud moved what its edges sent, and left some out.
     moves = load_corrections(run / "cloud") if inbox.is_dir() else {}
-    found = [(path, move) for path in sorted(inbox.glob("*/virtual_cameras.safetensors")) if (move := moves.get(path.parent.name))]
-    if not found:
+    moved_files = [(path, move) for path in sorted(inbox.glob("*/virtual_cameras.safetensors")) if (move := moves.get(path.parent.name))]
+    if not moved_files:
         raise BadInput(f"{inbox} holds no virtual cameras to ask the new model at: run it with a cloud that retrains, the default.")
-    return concatenate_cameras([move_cameras(load_cameras(path), move) for path, move in found])
+    return concatenate_cameras([move_cameras(load_cameras(path), move) for path, move in moved_files])
 
 
 def _move_scene(splats: Splats, cameras: Cameras, move: Sim3 | None) -> tuple[Splats, Cameras]:

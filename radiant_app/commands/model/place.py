@@ -10,7 +10,7 @@ from radiant_app.workers.sources import has_scene, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3
 from radiant_core.georef.crs import Crs, grid_warnings, parse_crs
-from radiant_core.georef.given_frame import GIVEN, GivenFrame, load_given_frame
+from radiant_core.georef.given_frame import GIVEN_CRS, GivenFrame, load_given_frame
 from radiant_core.georef.reference import Georeference, georeference, local_comments, local_record, require_heights, require_placed
 from radiant_core.georef.sidecar import save_local_sidecar, save_projection, save_sidecar
 
@@ -28,13 +28,13 @@ class ExportPlace:
     """How the scene becomes coordinates of `--crs`; None without it."""
     frame: Frame | None = None
     """Of the scene, None of a model without one."""
-    given: GivenFrame | None = None
+    model_frame: GivenFrame | None = None
     """How the scene becomes coordinates of the given model; None unless asked for."""
 
     @property
     def move(self) -> Georeference | GivenFrame | None:
         """What moves the scene; None where it stays."""
-        return self.reference or self.given
+        return self.reference or self.model_frame
 
     @property
     def unit_m(self) -> float:
@@ -56,14 +56,14 @@ class ExportPlace:
 
     def write(self, out: Path) -> dict[str, Any]:
         """Write what stands beside the file; figures for the command line."""
-        if self.given is not None:
-            written = [save_local_sidecar(out, {**self.given.record(), **self._local_record()})]
-            system = None if self.given.crs is None else _projected(self.given.crs)
+        if self.model_frame is not None:
+            written = [save_local_sidecar(out, {**self.model_frame.record(), **self._local_record()})]
+            system = None if self.model_frame.crs is None else _projected(self.model_frame.crs)
             if system is not None:
                 written.append(save_projection(out, system))
-            offset = ", ".join(f"{value:.10g}" for value in self.given.offset)
-            named = "" if self.given.crs is None else f" ({self.given.crs if system is None else system.title})"
-            about = {"crs": f"that of {self.given.model}{named}", "offset": f"{offset} (add it to the file's coordinates)"}
+            offset = ", ".join(f"{value:.10g}" for value in self.model_frame.offset)
+            named = "" if self.model_frame.crs is None else f" ({self.model_frame.crs if system is None else system.title})"
+            about = {"crs": f"that of {self.model_frame.model}{named}", "offset": f"{offset} (add it to the file's coordinates)"}
             return {**about, "georeference": ", ".join(path.name for path in written)}
         if self.reference is None:
             return {}
@@ -81,17 +81,17 @@ def place_of(model: Path, crs: str | None) -> ExportPlace:
     """What to write of a model's place; BadInput where the scene has none, or the model is a file
     without a scene."""
     frame = _frame_of(model)
-    given = load_given_frame(model) if model.is_dir() else None
-    if given is not None and (given.is_default if crs is None else crs != GIVEN and _is_system(crs, given.crs)):
+    model_frame = load_given_frame(model) if model.is_dir() else None
+    if model_frame is not None and (model_frame.is_default if crs is None else crs != GIVEN_CRS and _is_system(crs, model_frame.crs)):
         # What is asked for is the given frame itself, which no map has to bend.
-        return ExportPlace(comments=given.comments(), given=given, frame=frame)
-    if crs == GIVEN:
-        if given is None:
+        return ExportPlace(comments=model_frame.comments(), model_frame=model_frame, frame=frame)
+    if crs == GIVEN_CRS:
+        if model_frame is None:
             raise BadInput(
-                f"{model} was made from no given model: --crs {GIVEN} needs the folder of a run or scene of a COLMAP project or of "
+                f"{model} was made from no given model: --crs {GIVEN_CRS} needs the folder of a run or scene of a COLMAP project or of "
                 "another alignment."
             )
-        return ExportPlace(comments=given.comments(), given=given)
+        return ExportPlace(comments=model_frame.comments(), model_frame=model_frame)
     if crs is None:
         return ExportPlace(comments=() if frame is None else local_comments(frame), frame=frame)
     if frame is None:
@@ -108,12 +108,12 @@ def _projected(text: str) -> Crs | None:
         return None
 
 
-def _is_system(asked: str, given: str | None) -> bool:
+def _is_system(wanted_crs: str, frame_crs: str | None) -> bool:
     """Whether `--crs` names the system of the given frame."""
-    system = None if given is None else _projected(given)
+    system = None if frame_crs is None else _projected(frame_crs)
     if system is None:
         return False
-    wanted = parse_crs(asked)
+    wanted = parse_crs(wanted_crs)
     codes = (wanted.horizontal_epsg, wanted.vertical_epsg)
     return wanted.definition == system.definition or (codes[0] is not None and codes == (system.horizontal_epsg, system.vertical_epsg))
 
@@ -121,7 +121,7 @@ def _is_system(asked: str, given: str | None) -> bool:
 def crs_warnings(model: Path, crs: str, *, require_grids: bool) -> tuple[str, ...]:
     """Which grids PROJ lacks for `crs` at the model's scene and what that costs, nothing where it
     lacks none or the scene is nowhere; BadInput where `require_grids`."""
-    frame = None if crs == GIVEN else _frame_of(model)
+    frame = None if crs == GIVEN_CRS else _frame_of(model)
     if frame is None or frame.kind != "metric":
         return ()
     return grid_warnings(parse_crs(crs), frame.origin_lat_lon_alt[None], require_grids=require_grids)
@@ -131,16 +131,16 @@ def grid_system(folder: Path, crs: str | None, frame: Frame) -> tuple[Crs | None
     """The system of a run's GeoTIFF, by default that of the alignment that it was made from, and
     the exact way to it from the scene where it is that. None: its UTM zone; raises as
     `grid_crs`."""
-    given = load_given_frame(folder)
-    named = None if given is None or given.crs is None else _projected(given.crs)
-    if given is None or given.crs is None or named is None or frame.kind != "metric":
+    model_frame = load_given_frame(folder)
+    named = None if model_frame is None or model_frame.crs is None else _projected(model_frame.crs)
+    if model_frame is None or model_frame.crs is None or named is None or frame.kind != "metric":
         return None if crs is None else grid_crs(crs, frame), None
-    if crs is not None and not _is_system(crs, given.crs):
+    if crs is not None and not _is_system(crs, model_frame.crs):
         return grid_crs(crs, frame), None
     if crs is None and (named.horizontal_epsg is None or named.unit_m != 1.0 or named.axes != ("east", "north")):
         # No GeoTIFF can be in such a system: nobody asked for one.
         return None, None
-    return grid_crs(given.crs if crs is None else crs, frame), given.given_from_scene
+    return grid_crs(model_frame.crs if crs is None else crs, frame), model_frame.given_from_scene
 
 
 def grid_crs(text: str, frame: Frame) -> Crs:

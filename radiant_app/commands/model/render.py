@@ -94,9 +94,9 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
             raise BadInput("the cameras are of different sizes, which no film can show: render single pictures into a folder.")
         size_wh = (int(cameras.sizes_wh[0, 0]) // 2 * 2, int(cameras.sizes_wh[0, 1]) // 2 * 2)
         with folder_made_for(request.out), MovieWriter(request.out, size_wh, request.fps) as film, stage_bar(display, "render") as report:
-            for done, (name, image) in enumerate(_pictures(splats, cameras, near_m), 1):
+            for number, (name, image) in enumerate(_pictures(splats, cameras, near_m), 1):
                 film.add(np.ascontiguousarray(image[: size_wh[1], : size_wh[0]]))
-                report(done, len(cameras), name)
+                report(number, len(cameras), name)
         return {"film": str(request.out), "frames": len(cameras), "seconds": round(len(cameras) / request.fps, 2)}
     if request.out.suffix.lower() == PICTURE:
         with folder_made_for(request.out):
@@ -104,11 +104,11 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
             write_atomic(request.out, png_bytes(image))
         return {"picture": str(request.out)}
     with create_folder(request.out), stage_bar(display, "render") as report:
-        for done, (name, image) in enumerate(_pictures(splats, cameras, near_m), 1):
+        for number, (name, image) in enumerate(_pictures(splats, cameras, near_m), 1):
             path = request.out / f"{name}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(path, png_bytes(image))
-            report(done, len(cameras), name)
+            report(number, len(cameras), name)
     return {"pictures": len(cameras), "folder": str(request.out)}
 
 
@@ -172,9 +172,9 @@ def _scene_alone(splats: Splats, box: FloatArray, display: ProgressDisplay) -> S
     """What lies in the scene's box (2,3); all where that would be nothing."""
     from radiant_viewer.runs.shown_model import shown_model
 
-    shown = shown_model(splats, box)
-    display(Decided(decision=replace(shown.decision, stage="render", reason=f"{shown.decision.reason}; --surroundings shows it")))
-    return shown.splats
+    cropped = shown_model(splats, box)
+    display(Decided(decision=replace(cropped.decision, stage="render", reason=f"{cropped.decision.reason}; --surroundings shows it")))
+    return cropped.splats
 
 
 class _ModelOnce:
@@ -247,9 +247,9 @@ def _flight(request: RenderRequest, lens: Lens, model: _ModelOnce) -> tuple[Came
     return along_border(border.ends, ground, max(FLIGHT_HEIGHTS * above, border.length_m / 20), request.num_frames, lens), box
 
 
-def _require_orbit(request: RenderRequest, what: str) -> None:
+def _require_orbit(request: RenderRequest, problem: str) -> None:
     if request.trajectory != "orbit":
-        raise BadInput(f"{request.model} {what} and has no borders to fly along: use --trajectory orbit, --keyframes or --cameras.")
+        raise BadInput(f"{request.model} {problem} and has no borders to fly along: use --trajectory orbit, --keyframes or --cameras.")
 
 
 def _orbit_around(box: FloatArray, num_frames: int, lens: Lens) -> Cameras:
@@ -265,11 +265,11 @@ def _border(run: Any, names: tuple[str, ...] | None) -> Border:
     if names is None:
         return worst_border(run)
     pairs = {frozenset((edge_ids[border.first], edge_ids[border.second])): border for border in shared_borders(run.cloud_plan)}
-    found = pairs.get(frozenset(name.strip() for name in names))
-    if found is None or len(names) != 2:
-        known = "; ".join(",".join(sorted(pair)) for pair in pairs) or "there is none"
-        raise BadInput(f"{','.join(names)} is no border of two regions: name one of {known}.")
-    return found
+    chosen_border = pairs.get(frozenset(name.strip() for name in names))
+    if chosen_border is None or len(names) != 2:
+        listed = "; ".join(",".join(sorted(pair)) for pair in pairs) or "there is none"
+        raise BadInput(f"{','.join(names)} is no border of two regions: name one of {listed}.")
+    return chosen_border
 
 
 Triple = Annotated[tuple[float, float, float], Field()]

@@ -153,19 +153,19 @@ def consent_text(home: Home) -> str:
         if upper.identity == "pinned"
         else "TLS to whoever answers there: a proxy on the way can read what is sent, and change nothing"
     )
-    leaves = "\n".join(f"  - {each};" for each in LEAVES)
+    leaves = "\n".join(f"  - {line};" for line in LEAVES)
     return f"{home.node} will send to {upper.upper} at {upper.url} ({way}):\n{leaves}\nThese never leave: {STAYS}."
 
 
 def _require_consent(home: Home, agree: Callable[[str], bool]) -> None:
     """Ask once for each node above; BadInput where the answer is no."""
     path, upper = home.folder / CONSENT_NAME, home.upper
-    asked = {"upper": upper.upper, "url": upper.url, "certificate": upper.certificate, "text": consent_text(home)}
-    if path.is_file() and read_json(path) == asked:
+    consent = {"upper": upper.upper, "url": upper.url, "certificate": upper.certificate, "text": consent_text(home)}
+    if path.is_file() and read_json(path) == consent:
         return
     if not agree(consent_text(home)):
         raise BadInput("nothing was sent: start it again to be asked again, or with --yes to agree.")
-    write_json(path, asked)
+    write_json(path, consent)
 
 
 def status(folder: Path) -> dict[str, Any]:

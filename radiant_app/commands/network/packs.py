@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from radiant_app.network.carrying import keep_task, pack_own
-from radiant_app.network.errands import note_asked, require_own
+from radiant_app.network.errands import note_task, require_own
 from radiant_app.network.home import UPPER_NAME, Home, open_home
 from radiant_app.network.packs import has_list, open_pack, read_join
 from radiant_app.network.receiving import open_desk
@@ -36,8 +36,8 @@ def unpack(home_folder: Path, folder: Path) -> list[str]:
         CannotWrite: there is no room for it.
     """
     home = open_home(home_folder)
-    if has_list(folder) and (said := _unpack_task(home, folder)) is not None:
-        return [said]
+    if has_list(folder) and (message := _unpack_task(home, folder)) is not None:
+        return [message]
     if not (home.folder / STORE_NAME).is_file():
         # Says why it cannot be used.
         open_pack(folder, [])
@@ -58,26 +58,26 @@ def _unpack_task(home: Home, folder: Path) -> str | None:
     task.check()
     replaced = keep_task(home, task)
     # From now on no older one of its stage is taken, however often its pack is found again.
-    note_asked(home, task.envelope)
+    note_task(home, task.envelope)
     command = "radiant node work --photos FOLDER --offline" if home.node.startswith("devices/") else "radiant node serve --offline"
     instead = ""
     if replaced is not None:
-        whose = "" if replaced.run == task.envelope.run else " of another run"
-        instead = f", in place of that of {replaced.stage}{whose}, which is not done"
+        of_run = "" if replaced.run == task.envelope.run else " of another run"
+        instead = f", in place of that of {replaced.stage}{of_run}, which is not done"
     return f"the task of {task.envelope.stage} is here{instead}; next: {command}"
 
 
 def _unpack_from_below(home: Home, folder: Path) -> list[str]:
-    said = []
+    messages = []
     with open_desk(home) as desk:
         join = read_join(folder)
         if join is not None:
             try:
-                said.append(f"{desk.take_join(*join)} has joined.")
+                messages.append(f"{desk.take_join(*join)} has joined.")
             except BadInput:
                 # With a result its older key may still be the one that counts.
                 if not has_list(folder):
                     raise
         if has_list(folder) or join is None:
-            said.append(f"{desk.take_result(desk.open(folder))}.")
-    return said
+            messages.append(f"{desk.take_result(desk.open(folder))}.")
+    return messages

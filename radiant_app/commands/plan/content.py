@@ -62,12 +62,12 @@ class PlanContent:
     def summary(self) -> dict[str, Any]:
         """What the command line prints: one line of text a key, and the borders as rows."""
         borders = {risk: sum(forecast.risk == risk for forecast in self.forecasts) for risk in ("low", "medium", "high")}
-        said: dict[str, Any] = {"forecast": self.reason or f"{_risks_text(borders)}; {self.assumed}"}
+        figures: dict[str, Any] = {"forecast": self.reason or f"{_risks_text(borders)}; {self.assumed}"}
         if self.buffers:
-            said["buffers"] = _buffers_text(self.buffers)
+            figures["buffers"] = _buffers_text(self.buffers)
         if self.forecasts:
-            said["borders"] = [_row(forecast) for forecast in self.forecasts]
-        return said
+            figures["borders"] = [_row(forecast) for forecast in self.forecasts]
+        return figures
 
 
 def buffer_rule(text: str | None, deadline_s: float | None) -> BufferRule | None:
@@ -122,15 +122,15 @@ def content_of_scene(scene: SfmScene, cloud: CloudPlan, edges: Sequence[EdgePlan
 def border_table(rows: Sequence[dict[str, Any]]) -> str:
     """The rows of the forecast, aligned, the weakest borders first; thirty at most."""
     order = {"high": 0, "medium": 1, "low": 2}
-    shown = sorted(rows, key=lambda row: (order[row["risk"]], row["support"]))[:30]
-    width = max(len("border"), *(len(row["border"]) for row in shown))
+    listed = sorted(rows, key=lambda row: (order[row["risk"]], row["support"]))[:30]
+    width = max(len("border"), *(len(row["border"]) for row in listed))
     head = f"{'border':<{width}}  {'risk':<6} {'images a side':>13} {'per spot':>8} {'of interior':>11} {'forward':>7} {'side':>5}"
     lines = [
         f"{row['border']:<{width}}  {row['risk']:<6} {row['num_images'][0]:>6} {row['num_images'][1]:>6} {row['support']:>8.1f} "
         f"{row['coverage']:>11.0%} {_percent(row['forward_overlap']):>7} {_percent(row['side_overlap']):>5}"
-        for row in shown
+        for row in listed
     ]
-    more = [f"… and {len(rows) - len(shown)} more in the plan"] if len(rows) > len(shown) else []
+    more = [f"… and {len(rows) - len(listed)} more in the plan"] if len(rows) > len(listed) else []
     return "\n".join([head, *lines, *more])
 
 
@@ -194,14 +194,14 @@ def _risks_text(counts: dict[str, int]) -> str:
 
 def _buffers_text(buffers: Sequence[EdgeBuffer]) -> str:
     planned_s, now_s = max(buffer.planned_edge_time_s for buffer in buffers), max(buffer.edge_time_s for buffer in buffers)
-    each = ", ".join(
+    device_texts = ", ".join(
         f"{buffer.edge_id} {len(buffer.camera_indices)} (+{buffer.edge_time_s - buffer.planned_edge_time_s:.1f} s"
         + (f", {buffer.num_refused} did not fit)" if buffer.num_refused else ")")
         if buffer.device_ids
         else f"{buffer.edge_id} none, it deals its own"
         for buffer in buffers
     )
-    return f"{each}; makespan {planned_s:.1f} s becomes {now_s:.1f} s"
+    return f"{device_texts}; makespan {planned_s:.1f} s becomes {now_s:.1f} s"
 
 
 def _percent(share: float | None) -> str:

@@ -97,19 +97,19 @@ def flight_request(whole_lines: float | None, formats: str | None, heights: Heig
 
 def flight_formats(text: str | None) -> tuple[str, ...]:
     """`--flight-format` as endings; BadInput for one that is not known."""
-    found = tuple(dict.fromkeys(part.strip().lower() for part in (text or "").split(",") if part.strip()))
-    unknown = [part for part in found if part not in (*WRITERS, "csv")]
+    formats = tuple(dict.fromkeys(part.strip().lower() for part in (text or "").split(",") if part.strip()))
+    unknown = [part for part in formats if part not in (*WRITERS, "csv")]
     if unknown:
         raise BadInput(f"--flight-format names {unknown[0]!r}, expected some of csv (always written), {', '.join(WRITERS)} with commas.")
-    return tuple(part for part in found if part != "csv")
+    return tuple(part for part in formats if part != "csv")
 
 
 def battery_seconds(text: str) -> float:
     """`--battery` in seconds, of 20m or 1200s; BadInput for anything else."""
-    found = _DURATION.fullmatch(text.strip())
-    if found is None:
+    match = _DURATION.fullmatch(text.strip())
+    if match is None:
         raise BadInput(f"--battery is {text!r}, expected the time in the air on one battery, such as 20m.")
-    return float(found[1]) * _SECONDS[found[2]]
+    return float(match[1]) * _SECONDS[match[2]]
 
 
 def write_routes(folder: Path, edges: Sequence[EdgePlan], waypoints: Waypoints, request: FlightRequest) -> str | None:
@@ -122,7 +122,7 @@ def write_routes(folder: Path, edges: Sequence[EdgePlan], waypoints: Waypoints, 
             route = route_of(device_id, waypoints, plan.cameras_of(device_id), request.flown, request.drone.speed_m_per_s)
             for ending in request.formats if len(route.names) else ():
                 write_atomic(folder / f"{device_id}.{ending}", WRITERS[ending](route))
-    return _whole_route(waypoints, request).said
+    return _whole_route(waypoints, request).heights_text
 
 
 def as_listed(waypoints: Waypoints, request: FlightRequest) -> Waypoints:
@@ -168,12 +168,12 @@ def heights_to_fly(waypoints: Waypoints, request: FlightRequest, ground_m: float
     return waypoints, warnings
 
 
-def lines_text(found: LinePlan) -> str:
+def lines_text(lines: LinePlan) -> str:
     """What became of the lines, in a sentence."""
-    if found.reason is not None:
-        return f"not kept whole: {found.reason}"
-    whole = found.num_lines - found.cut
-    return f"{whole} of {found.num_lines} whole ({found.cut_before} were cut before), {found.slack:.3f} × the shortest makespan"
+    if lines.reason is not None:
+        return f"not kept whole: {lines.reason}"
+    whole = lines.num_lines - lines.cut
+    return f"{whole} of {lines.num_lines} whole ({lines.cut_before} were cut before), {lines.slack:.3f} × the shortest makespan"
 
 
 def flight_rows(edges: Sequence[EdgePlan], waypoints: Waypoints, drone: Drone, idle: Mapping[str, str]) -> list[dict[str, Any]]:
@@ -183,8 +183,8 @@ def flight_rows(edges: Sequence[EdgePlan], waypoints: Waypoints, drone: Drone, i
     rows = []
     for plan in edges:
         for device_id, computing_s in zip(plan.device_ids, plan.device_time_s.tolist(), strict=True):
-            own = plan.cameras_of(device_id)
-            figures = flight_figures(positions[own], None if heights_m is None else heights_m[own], drone)
+            camera_rows = plan.cameras_of(device_id)
+            figures = flight_figures(positions[camera_rows], None if heights_m is None else heights_m[camera_rows], drone)
             rows.append(_row(device_id, computing_s, figures) | ({"idle": idle[device_id]} if device_id in idle else {}))
     return rows
 

@@ -68,39 +68,39 @@ def find_known(survey: Survey, resolution: float | None, display: ProgressDispla
     sights = Sights(facets, survey.map_frame)
     cameras = survey.run.scene.cameras.select(np.array(survey.trained, np.int64))
     with stage_bar(display, "views") as report:
-        sightings = sights.all_of(cameras, lambda done, total: report(done, total, "photographs"))
-    known = known_by(sights, cameras, sightings)
+        sightings = sights.all_of(cameras, lambda num_done, total: report(num_done, total, "photographs"))
+    known_facets = known_by(sights, cameras, sightings)
     faults = capture_faults(survey.run.scene, survey.ground.reach, _small_images(survey))
     for fault in faults:
         display(Warned(stage=STAGE, message=fault.sentence))
-    error_db, model = _errors(survey, sights, known.score, display)
+    error_db, model = _errors(survey, sights, known_facets.score, display)
     support = support_raster(facets, survey.map_frame, survey.splats, support_of_survey(survey, display, LONG_SIDE_PX))
     margin_db = None if model is None else model.margin_db
-    layers = KnownMap(facets=facets, known=known, support=support, error_db=error_db, margin_db=margin_db)
+    layers = KnownMap(facets=facets, known=known_facets, support=support, error_db=error_db, margin_db=margin_db)
     return FoundMap(survey=survey, sights=sights, layers=layers, errors=model, faults=faults)
 
 
-def write_known(found: FoundMap, folder: Path) -> dict[str, Any]:
+def write_known(known_map: FoundMap, folder: Path) -> dict[str, Any]:
     """Write known.tif and known.geojson into the existing folder, and return the figures."""
-    grid, survey = found.layers.facets.surface.grid, found.survey
+    grid, survey = known_map.layers.facets.surface.grid, known_map.survey
     raster = TiledRaster(place=grid, shape=grid.shape, bands=BANDS, tile_px=TILE_PX, dtype=np.float32, no_data=NO_DATA, classes=CLASSES)
-    save_tiles(folder / "known.tif", raster, cut_tiles(found.layers.bands(NO_DATA), TILE_PX, NO_DATA))
-    about = {"unit": survey.run.unit, **_error_figures(found.errors)}
-    write_json(folder / "known.geojson", to_geojson(survey.map_frame, weak_features(found.layers, survey.map_frame), about))
-    return {"crs": survey.map_frame.crs, "cells": f"{grid.columns} x {grid.rows}", "resolution": grid.cell, **figures_of(found)}
+    save_tiles(folder / "known.tif", raster, cut_tiles(known_map.layers.bands(NO_DATA), TILE_PX, NO_DATA))
+    about = {"unit": survey.run.unit, **_error_figures(known_map.errors)}
+    write_json(folder / "known.geojson", to_geojson(survey.map_frame, weak_features(known_map.layers, survey.map_frame), about))
+    return {"crs": survey.map_frame.crs, "cells": f"{grid.columns} x {grid.rows}", "resolution": grid.cell, **figures_of(known_map)}
 
 
-def figures_of(found: FoundMap) -> dict[str, Any]:
+def figures_of(known_map: FoundMap) -> dict[str, Any]:
     """Areas of holes and weak surface, and how far the predicted error can be trusted."""
-    layers = found.layers
+    layers = known_map.layers
     areas: dict[str, Any] = {
         f"{name}_{on}": round(layers.area_of(kind, walls=walls), 1)
         for kind, name in ((HOLE, "hole"), (WEAK, "weak"))
         for on, walls in (("ground", False), ("walls", True))
     }
     total = float(layers.facets.areas.sum())
-    areas["capture"] = " ".join(fault.sentence for fault in found.faults) or "no fault"
-    return {"surface": round(total, 1), **areas, "unit": found.survey.run.unit, **_error_figures(found.errors)}
+    areas["capture"] = " ".join(fault.sentence for fault in known_map.faults) or "no fault"
+    return {"surface": round(total, 1), **areas, "unit": known_map.survey.run.unit, **_error_figures(known_map.errors)}
 
 
 def _error_figures(model: ErrorModel | None) -> dict[str, Any]:
@@ -153,7 +153,7 @@ def _facets(survey: Survey, cell: float, display: ProgressDisplay) -> Facets:
                 map_frame=survey.map_frame,
                 long_side_px=LONG_SIDE_PX,
                 keeps=lambda points: keeps_places(survey.cleaning, points, survey.regions),
-                report=lambda done, total: report(done, total, "views"),
+                report=lambda num_done, total: report(num_done, total, "views"),
             ),
         )
 
@@ -165,25 +165,25 @@ def _errors(survey: Survey, sights: Sights, score: FloatArray, display: Progress
 
     nothing = np.full(len(sights.facets), np.nan)
     cameras, images = survey.run.scene.cameras.scaled(LONG_SIDE_PX), photographs_of_survey(survey)
-    held = [row for row, name in enumerate(cameras.names) if name in survey.run.held_out]
+    held_out = [row for row, name in enumerate(cameras.names) if name in survey.run.held_out]
     missing = [] if images is None else [name for name in cameras.names if not (images / name).is_file()]
-    if images is None or missing or not held:
+    if images is None or missing or not held_out:
         why = "the photographs are not at hand" if images is None or missing else "no photograph was held out"
         display(Warned(stage=STAGE, message=f"errors are not predicted: {why}."))
         return nothing, None
-    order = np.array([*survey.trained, *held], np.int64)
+    order = np.array([*survey.trained, *held_out], np.int64)
     ordered, cell = cameras.select(order), sights.facets.surface.grid.cell
     with stage_bar(display, "errors") as report:
         sightings = sights.all_of(ordered)
-        found: list[FloatArray] = []
+        view_errors: list[FloatArray] = []
         for index, sighting in enumerate(sightings):
             one = ordered.select([index])
-            found += errors_in_views(survey.splats, one, load_images(images, one), [sighting], cell)
+            view_errors += errors_in_views(survey.splats, one, load_images(images, one), [sighting], cell)
             report(index + 1, len(ordered), "photographs")
     split = len(survey.trained)
-    train_db = mean_errors_db(len(sights.facets), sightings[:split], found[:split])
+    train_db = mean_errors_db(len(sights.facets), sightings[:split], view_errors[:split])
     try:
-        model = fit_errors(error_samples(train_db, score, sightings[split:], found[split:]))
+        model = fit_errors(error_samples(train_db, score, sightings[split:], view_errors[split:]))
     except BadInput as error:
         display(Warned(stage=STAGE, message=f"errors are not predicted: {error}"))
         return nothing, None

@@ -94,7 +94,7 @@ class _Flight:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Proposal:
-    found: FoundMap
+    known_map: FoundMap
     air: Air
     candidates: Candidates
     flights: tuple[_Flight, ...]
@@ -115,10 +115,10 @@ def plan_next_flight(request: NextFlightRequest, display: ProgressDisplay) -> di
         raise BadInput("flights are in metres, and nothing gives the scale of this scene: give GPS or --distance to 'radiant sfm'.")
     no_fly = _no_fly(request, survey, display)
     with create_folder(request.out, whole=True):
-        found = find_known(survey, request.resolution, display)
-        figures = write_known(found, request.out)
-        proposal = _propose(request, system, found, no_fly, display) if wants_flight else None
-        _draw(request.out, found, proposal)
+        known_map = find_known(survey, request.resolution, display)
+        figures = write_known(known_map, request.out)
+        proposal = _propose(request, system, known_map, no_fly, display) if wants_flight else None
+        _draw(request.out, known_map, proposal)
         written = {"map": str(request.out / "known.tif"), "picture": str(request.out / "known.png")}
         return {**figures, **written, **({} if proposal is None else _write_flights(request, proposal, display))}
 
@@ -146,29 +146,31 @@ def _no_fly(request: NextFlightRequest, survey: Survey, display: ProgressDisplay
 
 
 def _propose(
-    request: NextFlightRequest, system: System, found: FoundMap, no_fly: tuple[shapely.Polygon, ...], display: ProgressDisplay
+    request: NextFlightRequest, system: System, known_map: FoundMap, no_fly: tuple[shapely.Polygon, ...], display: ProgressDisplay
 ) -> _Proposal:
-    facets = found.layers.facets
+    facets = known_map.layers.facets
     take_off = usual_take_off(facets) if request.take_off is None else request.take_off
     lowest = request.safe_m if request.lowest_m is None else request.lowest_m
     rules = FlightRules(safe=request.safe_m, take_off=take_off, lowest=lowest, highest=request.highest_m, no_fly=no_fly)
     air = air_over(facets, rules)
-    candidates = candidate_views(air, found.survey.map_frame, usual_lens(found), found.survey.ground.reach)
+    candidates = candidate_views(air, known_map.survey.map_frame, usual_lens(known_map), known_map.survey.ground.reach)
     with stage_bar(display, "candidates") as report:
-        sightings = found.sights.all_of(candidates.cameras, lambda done, total: report(done, total, "views"))
+        sightings = known_map.sights.all_of(candidates.cameras, lambda num_done, total: report(num_done, total, "views"))
     count = MOST_VIEWS if request.photographs is None else request.photographs
     with stage_bar(display, "choosing") as report:
-        chosen = choose_views(facets, found.layers.known, sightings, count, lambda done, total: report(done, total, "views"))
+        chosen = choose_views(
+            facets, known_map.layers.knowledge, sightings, count, lambda num_done, total: report(num_done, total, "views")
+        )
     if not chosen:
         raise BadInput("no safe view adds anything to what is known: nothing is to be flown.")
-    flights = _within_batteries(request, system, air, candidates, chosen, found)
+    flights = _within_batteries(request, system, air, candidates, chosen, known_map)
     _tell(request, candidates, flights, display)
-    return _Proposal(found=found, air=air, candidates=candidates, flights=flights)
+    return _Proposal(known_map=known_map, air=air, candidates=candidates, flights=flights)
 
 
-def usual_lens(found: FoundMap) -> Lens:
+def usual_lens(known_map: FoundMap) -> Lens:
     """The lens of most of the run's photographs."""
-    cameras = found.trained
+    cameras = known_map.trained
     sizes, counts = np.unique(cameras.sizes_wh, axis=0, return_counts=True)
     width, height = sizes[counts.argmax()].tolist()
     focal_px = float(np.median(cameras.Ks[(cameras.sizes_wh == [width, height]).all(axis=1), 0, 0]))
@@ -176,16 +178,16 @@ def usual_lens(found: FoundMap) -> Lens:
 
 
 def _within_batteries(
-    request: NextFlightRequest, system: System, air: Air, candidates: Candidates, chosen: Sequence[Chosen], found: FoundMap
+    request: NextFlightRequest, system: System, air: Air, candidates: Candidates, chosen: Sequence[Chosen], known_map: FoundMap
 ) -> tuple[_Flight, ...]:
     """The flights of all chosen views, or of as many of the best as the batteries last for."""
-    flights = _flights(request, system, air, candidates, chosen, found)
+    flights = _flights(request, system, air, candidates, chosen, known_map)
     if request.batteries is None or max(flight.batteries for flight in flights) <= request.batteries:
         return flights
     fits, beyond, best = 0, len(chosen), tuple[_Flight, ...]()
     while beyond - fits > 1:
         count = (fits + beyond) // 2
-        flights = _flights(request, system, air, candidates, chosen[:count], found)
+        flights = _flights(request, system, air, candidates, chosen[:count], known_map)
         if max(flight.batteries for flight in flights) <= request.batteries:
             fits, best = count, flights
         else:
@@ -196,11 +198,11 @@ def _within_batteries(
 
 
 def _flights(
-    request: NextFlightRequest, system: System, air: Air, candidates: Candidates, chosen: Sequence[Chosen], found: FoundMap
+    request: NextFlightRequest, system: System, air: Air, candidates: Candidates, chosen: Sequence[Chosen], known_map: FoundMap
 ) -> tuple[_Flight, ...]:
     places = candidates.places[[view.row for view in chosen]]
-    positions = np.ascontiguousarray(found.survey.map_frame.to_world(places)[:, :2])
-    frame = found.survey.run.scene.frame
+    positions = np.ascontiguousarray(known_map.survey.map_frame.to_world(places)[:, :2])
+    frame = known_map.survey.run.scene.frame
     placed = place_edges_by_raster(system, positions, frame.origin_lat_lon_alt if frame.kind == "metric" else None, None, request.seed)
     cloud = plan_regions(positions, placed)
     if isinstance(cloud, PlanInfeasible):
@@ -208,10 +210,10 @@ def _flights(
     flights = []
     for plan in split_edges(positions, cloud, placed):
         for device in plan.device_ids:
-            own = plan.cameras_of(device)
-            if len(own):
-                own = own[shortest_order(places[own])]
-                flights.append(_flight(device, [chosen[row] for row in own.tolist()], places[own], air, request.drone))
+            rows = plan.cameras_of(device)
+            if len(rows):
+                rows = rows[shortest_order(places[rows])]
+                flights.append(_flight(device, [chosen[row] for row in rows.tolist()], places[rows], air, request.drone))
     if not flights:
         raise BadInput("the system has no devices that fly: give one whose edges have devices, or leave --system out.")
     return tuple(flights)
@@ -242,7 +244,7 @@ def _tell(request: NextFlightRequest, candidates: Candidates, flights: Sequence[
 
 
 def _write_flights(request: NextFlightRequest, proposal: _Proposal, display: ProgressDisplay) -> dict[str, Any]:
-    survey, take_off = proposal.found.survey, proposal.air.rules.take_off
+    survey, take_off = proposal.known_map.survey, proposal.air.rules.take_off
     features: list[dict[str, Any]] = []
     for flight in proposal.flights:
         features.append(line_feature(survey.map_frame, flight.way, {"device": flight.device, "flight_s": round(flight.flight_s)}))
@@ -284,7 +286,7 @@ def _write_lists(request: NextFlightRequest, proposal: _Proposal) -> None:
 
 def _waypoints(flight: _Flight, proposal: _Proposal) -> Waypoints:
     """The way with heights above take-off; points that are only passed look as the view before."""
-    survey = proposal.found.survey
+    survey = proposal.known_map.survey
     lat_lon_alt = geodetic_from_enu(survey.map_frame.to_world(flight.way), survey.run.scene.frame.origin_lat_lon_alt)
     lat_lon_alt[:, 2] = flight.way[:, 2] - proposal.air.rules.take_off
     last = np.maximum.accumulate(flight.owner)
@@ -293,12 +295,12 @@ def _waypoints(flight: _Flight, proposal: _Proposal) -> Waypoints:
     return Waypoints(names=tuple(names), lat_lon_alt=lat_lon_alt, heading_pitch_deg=angles, counts_from="takeoff")
 
 
-def _draw(folder: Path, found: FoundMap, proposal: _Proposal | None) -> None:
+def _draw(folder: Path, known_map: FoundMap, proposal: _Proposal | None) -> None:
     from radiant_viewer.charts.known_chart import known_picture
     from radiant_viewer.pictures.images import save_png
 
     lines = () if proposal is None else tuple(_line(flight, proposal.candidates) for flight in proposal.flights)
-    save_png(folder / "known.png", known_picture(found.layers, found.survey.run.unit, lines))
+    save_png(folder / "known.png", known_picture(known_map.layers, known_map.survey.run.unit, lines))
 
 
 def _line(flight: _Flight, candidates: Candidates) -> FlownLine:

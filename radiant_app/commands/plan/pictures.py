@@ -21,7 +21,7 @@ LISTS, REGIONS, SYSTEM = "_waypoints", "_regions.geojson", "_system.toml"
 ENDINGS = (MAP, GANTT, METHODS, SLACKS, LISTS, REGIONS, SYSTEM)
 
 
-def beside(out: Path, ending: str) -> Path:
+def sibling(out: Path, ending: str) -> Path:
     """The file or folder of a plan at `out` with that ending."""
     return out.with_name(f"{out.stem}{ending}")
 

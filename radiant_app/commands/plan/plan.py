@@ -28,8 +28,8 @@ from radiant_app.commands.plan.pictures import (
     REGIONS,
     SLACKS,
     SYSTEM,
-    beside,
     plan_gantt,
+    sibling,
     side_pictures,
 )
 from radiant_app.commands.plan.tables import method_row
@@ -179,8 +179,8 @@ def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
         report(0, len(PHASES), PHASES[0])
         if _is_scene(request.source):
             return _plan_scene(request, system, report)
-        found = _positions_of(request.source, report)
-        return _plan_waypoints(request, system, found, report)
+        source_waypoints = _positions_of(request.source, report)
+        return _plan_waypoints(request, system, source_waypoints, report)
 
 
 def _require_nothing_to_fly(request: PlanRequest) -> None:
@@ -202,56 +202,56 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
     origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
     positions = scene.cameras.centers[:, :2]
     cameras = _PlanInput(positions=positions, origin=origin, names=scene.cameras.names, content=_points_seen(scene), scene=scene)
-    made = _make_plan(cameras, system, request, report)
-    content = content_of_scene(scene, made.cloud, made.edges, made.system, request.content)
+    draft = _make_plan(cameras, system, request, report)
+    content = content_of_scene(scene, draft.cloud, draft.edges, draft.system, request.content)
     report(2, len(PHASES), PHASES[2])
-    pictures = side_pictures(made.cloud.places_of(positions), scene.frame.unit, made.cloud, made.compared, made.curve)
-    pictures[GANTT] = plan_gantt(made.system, made.edges)
-    pictures[MAP] = plan_picture(scene, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
+    pictures = side_pictures(draft.cloud.places_of(positions), scene.frame.unit, draft.cloud, draft.compared, draft.curve)
+    pictures[GANTT] = plan_gantt(draft.system, draft.edges)
+    pictures[MAP] = plan_picture(scene, draft.cloud, draft.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
-    _write(request, made, content, pictures)
+    _write(request, draft, content, pictures)
     unit = {} if scene.frame.unit == "m" else {"unit": scene.frame.unit}
-    return {**_summary(request.out, made, ()), **content.summary(), **unit}
+    return {**_summary(request.out, draft, ()), **content.summary(), **unit}
 
 
-def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
+def _plan_waypoints(request: PlanRequest, system: System, source_waypoints: FoundWaypoints, report: Report) -> dict[str, Any]:
     from radiant_viewer.runs.run_pictures import waypoint_plan_picture
 
-    grids = _grid_warnings(request, found)
-    waypoints, about_heights = _above_ground(found.waypoints, request)
+    grids = _grid_warnings(request, source_waypoints)
+    waypoints, about_heights = _above_ground(source_waypoints.waypoints, request)
     positions = waypoints.positions_m
-    made = _make_plan(_PlanInput(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
+    draft = _make_plan(_PlanInput(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
     lines = None
     if request.flight.whole_lines is not None:
-        lines = keep_lines(positions[:, :2], made.cloud, made.edges, made.system, request.flight.whole_lines)
-        made = replace(made, cloud=lines.cloud, edges=lines.edges)
-    content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
+        lines = keep_lines(positions[:, :2], draft.cloud, draft.edges, draft.system, request.flight.whole_lines)
+        draft = replace(draft, cloud=lines.cloud, edges=lines.edges)
+    content = content_of_waypoints(waypoints, draft.cloud, draft.edges, draft.system, request.content)
     report(2, len(PHASES), PHASES[2])
-    pictures = side_pictures(made.cloud.places_of(positions[:, :2]), "m", made.cloud, made.compared, made.curve)
-    pictures[GANTT] = plan_gantt(made.system, made.edges)
-    pictures[MAP] = waypoint_plan_picture(positions, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
+    pictures = side_pictures(draft.cloud.places_of(positions[:, :2]), "m", draft.cloud, draft.compared, draft.curve)
+    pictures[GANTT] = plan_gantt(draft.system, draft.edges)
+    pictures[MAP] = waypoint_plan_picture(positions, draft.cloud, draft.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
-    flown = _write(request, made, content, pictures, waypoints)
-    written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
+    flown = _write(request, draft, content, pictures, waypoints)
+    written = {"waypoints": str(sibling(request.out, LISTS)), "regions": str(sibling(request.out, REGIONS))}
     # What the file lacks was given.
-    known = [said for said in found.warnings if request.flight.height_m is None or NO_ALTITUDES not in said]
-    warnings = (*known, *grids, *about_heights, *_unflown(as_listed(waypoints, request.flight)))
+    source_warnings = [warning for warning in source_waypoints.warnings if request.flight.height_m is None or NO_ALTITUDES not in warning]
+    warnings = (*source_warnings, *grids, *about_heights, *_unflown(as_listed(waypoints, request.flight)))
     flying: dict[str, Any] = {} if lines is None else {"flight_lines": lines_text(lines)}
     flying["heights"] = said_heights(waypoints.lat_lon_alt[:, 2], waypoints.height_codes)
     flying |= {} if flown is None else {"flight_heights": flown}
-    idle = idle_reasons(made.cloud, made.edges, made.system)
-    flying["flight"] = flight_rows(made.edges, waypoints, request.flight.drone, idle)
-    return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **flying, **written}
+    idle = idle_reasons(draft.cloud, draft.edges, draft.system)
+    flying["flight"] = flight_rows(draft.edges, waypoints, request.flight.drone, idle)
+    return {"planned": len(waypoints), **_summary(request.out, draft, warnings), **content.summary(), **flying, **written}
 
 
-def _grid_warnings(request: PlanRequest, found: FoundWaypoints) -> tuple[str, ...]:
+def _grid_warnings(request: PlanRequest, source_waypoints: FoundWaypoints) -> tuple[str, ...]:
     """What the system of the regions' file lacks here; BadInput where that, or what the waypoints'
     own lacks, is to be refused."""
-    if request.require_grids and found.shortfall is not None:
-        raise BadInput(f"{request.source}: {found.shortfall.removesuffix('.')}, or leave out --require-grids.")
+    if request.require_grids and source_waypoints.shortfall is not None:
+        raise BadInput(f"{request.source}: {source_waypoints.shortfall.removesuffix('.')}, or leave out --require-grids.")
     if request.crs is None:
         return ()
-    return grid_warnings(parse_crs(request.crs), found.waypoints.lat_lon_alt, require_grids=request.require_grids)
+    return grid_warnings(parse_crs(request.crs), source_waypoints.waypoints.lat_lon_alt, require_grids=request.require_grids)
 
 
 def _above_ground(waypoints: Waypoints, request: PlanRequest) -> tuple[Waypoints, tuple[str, ...]]:
@@ -275,7 +275,7 @@ def _unflown(waypoints: Waypoints) -> tuple[str, ...]:
 
 
 def _write(
-    request: PlanRequest, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None
+    request: PlanRequest, draft: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None
 ) -> str | None:
     """Write the plan and what goes beside it; what heights in flight lists count from."""
     from radiant_viewer.pictures.images import save_png
@@ -283,18 +283,17 @@ def _write(
     out, flown = request.out, None
     crs = None if request.crs is None else parse_crs(request.crs)
     with folder_made_for(out), write_folder_atomically(out.parent) as folder:
+        path = folder / out.name
         for ending, picture in pictures.items():
-            save_png(beside(folder / out.name, ending), picture)
-        write_atomic(beside(folder / out.name, SYSTEM), dump_system(made.system).encode())
+            save_png(sibling(path, ending), picture)
+        write_atomic(sibling(path, SYSTEM), dump_system(draft.system).encode())
         if waypoints is not None:
-            lists = beside(folder / out.name, LISTS)
+            lists = sibling(path, LISTS)
             lists.mkdir()
-            save_device_waypoints(lists, made.cloud, made.edges, as_listed(waypoints, request.flight), content.buffers)
-            flown = write_routes(lists, made.edges, waypoints, request.flight)
-            save_regions_geojson(beside(folder / out.name, REGIONS), made.cloud, made.edges, waypoints, content.buffers, crs)
-        save_plan(
-            folder / out.name, made.cloud, made.edges, waypoints, slack_curve=made.curve, warnings=made.warnings, content=content.record()
-        )
+            save_device_waypoints(lists, draft.cloud, draft.edges, as_listed(waypoints, request.flight), content.buffers)
+            flown = write_routes(lists, draft.edges, waypoints, request.flight)
+            save_regions_geojson(sibling(path, REGIONS), draft.cloud, draft.edges, waypoints, content.buffers, crs)
+        save_plan(path, draft.cloud, draft.edges, waypoints, slack_curve=draft.curve, warnings=draft.warnings, content=content.record())
     return flown
 
 
@@ -305,16 +304,16 @@ def _positions_of(source: Path, report: Report) -> FoundWaypoints:
     if not source.is_dir():
         return read_waypoints(source)
     folder = source / "images" if (source / "images").is_dir() else source
-    found = exif_waypoints(folder, lambda done, total: report(done / total, len(PHASES), PHASES[0]))
-    names = (*found.waypoints.names, *found.without_gps)
+    exif = exif_waypoints(folder, lambda num_done, total: report(num_done / total, len(PHASES), PHASES[0]))
+    names = (*exif.waypoints.names, *exif.without_gps)
     held_out = held_out_mask(names)
-    if held_out[: len(found.waypoints)].all():
+    if held_out[: len(exif.waypoints)].all():
         raise BadInput(
-            f"all {len(found.waypoints)} photographs with GPS in {folder} are held out for scoring (every 8th by name): give more of them."
+            f"all {len(exif.waypoints)} photographs with GPS in {folder} are held out for scoring (every 8th by name): give more of them."
         )
-    kept = found.waypoints.select(np.flatnonzero(~held_out[: len(found.waypoints)]))
+    waypoints = exif.waypoints.select(np.flatnonzero(~held_out[: len(exif.waypoints)]))
     note = f"{int(held_out.sum())} of {len(names)} photographs, every 8th by name, are held out for scoring and not planned."
-    return replace(found, waypoints=kept, warnings=(*found.warnings, note))
+    return replace(exif, waypoints=waypoints, warnings=(*exif.warnings, note))
 
 
 def _points_seen(scene: SfmScene) -> FloatArray | None:
@@ -336,8 +335,8 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
         system = with_short_joins(with_step_law(scaled.system, train, num_cameras), train, num_cameras, AggregateConfig())
         system, _, warnings = with_camera_limits(system, train, num_cameras)
         law = refining_law_of(train, AggregateConfig(), num_cameras, len(system.devices))
-    given = None if request.constraints is None else load_constraints(request.constraints, cameras.names)
-    start, constraints = (None, None) if given is None else (given.start, given.constraints)
+    constraints_file = None if request.constraints is None else load_constraints(request.constraints, cameras.names)
+    start, constraints = (None, None) if constraints_file is None else (constraints_file.start, constraints_file.constraints)
 
     def place(places: FloatArray) -> System:
         return place_edges_by_raster(system, places, cameras.origin, request.raster_cell_m, request.seed)
@@ -389,13 +388,13 @@ def _trained_as(request: PlanRequest, system: System, edges: Sequence[EdgePlan])
     num_working = sum(bool(len(plan.cameras_of(device))) for plan in edges for device in plan.device_ids)
     if num_working < LEAST_DEVICES or not all(plan.dealt for plan in edges):
         return ()
-    given, heard = request.overrides, list[Decision]()
+    overrides, heard = request.overrides, list[Decision]()
     train = TrainOptions(
         preset=request.train_preset,
-        long_side_px=given.long_side_px,
-        num_steps=given.num_steps,
-        max_num_splats=given.max_num_splats,
-        settings=given.settings,
+        long_side_px=overrides.long_side_px,
+        num_steps=overrides.num_steps,
+        max_num_splats=overrides.max_num_splats,
+        settings=overrides.settings,
     )
 
     def listen(event: Event) -> None:
@@ -432,11 +431,11 @@ def _raster_note(cell_m: float, plan: CloudPlan) -> str:
     return f"Planned from {decision.choice}, {decision.figure:.1f} {decision.unit}: {decision.reason}."
 
 
-def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
-    cloud = made.cloud
-    warnings = (*warnings, *made.warnings)
-    idle = idle_reasons(cloud, made.edges, made.system)
-    later = [plan.edge_id for plan in made.edges if not plan.dealt]
+def _summary(out: Path, draft: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
+    cloud = draft.cloud
+    warnings = (*warnings, *draft.warnings)
+    idle = idle_reasons(cloud, draft.edges, draft.system)
+    later = [plan.edge_id for plan in draft.edges if not plan.dealt]
     if later:
         warnings = (*warnings, f"Dealt by the edge itself, later: {', '.join(later)}.")
     if cloud.constrained:
@@ -446,37 +445,37 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         why = "; ".join(f"{name} ({reason})" for name, reason in idle.items())
         warnings = (*warnings, f"Devices without anything to capture: {why}.")
     return {
-        **({} if made.costs is None else {"costs": made.costs}),
+        **({} if draft.costs is None else {"costs": draft.costs}),
         "makespan_s": cloud.makespan_s,
         "lower_bound_s": cloud.lower_bound_s,
-        **({} if made.refining is None else {"refining_s": predict_refining(made.system, made.edges, made.refining)}),
+        **({} if draft.refining is None else {"refining_s": predict_refining(draft.system, draft.edges, draft.refining)}),
         "status": cloud.status,
         "method": cloud.method,
         "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),
-        **({} if made.cut is None else {"cut": f"{made.cut.choice}: {made.cut.reason}"}),
+        **({} if draft.cut is None else {"cut": f"{draft.cut.choice}: {draft.cut.reason}"}),
         **(
-            {"training": " ".join(f"{one.choice} ({one.figure:.1f} {one.unit}): {one.reason}." for one in made.training)}
-            if made.training
+            {"training": " ".join(f"{one.choice} ({one.figure:.1f} {one.unit}): {one.reason}." for one in draft.training)}
+            if draft.training
             else {}
         ),
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
-        "picture": str(beside(out, MAP)),
-        "gantt": str(beside(out, GANTT)),
-        **(_comparison(out, made.compared) if made.compared else {}),
-        **({"slack_curve": [asdict(point) for point in made.curve], "slack_picture": str(beside(out, SLACKS))} if made.curve else {}),
+        "picture": str(sibling(out, MAP)),
+        "gantt": str(sibling(out, GANTT)),
+        **(_comparison(out, draft.compared) if draft.compared else {}),
+        **({"slack_curve": [asdict(point) for point in draft.curve], "slack_picture": str(sibling(out, SLACKS))} if draft.curve else {}),
     }
 
 
 def _comparison(out: Path, compared: Sequence[ComparedPlan]) -> dict[str, Any]:
     without = {} if any(row.method == "content" for row in compared) else {"methods_left_out": NO_CONTENT}
-    return {"methods": [method_row(row) for row in compared], **without, "comparison": str(beside(out, METHODS))}
+    return {"methods": [method_row(row) for row in compared], **without, "comparison": str(sibling(out, METHODS))}
 
 
 def _require_places(out: Path) -> None:
     if out.suffix != ".json":
         raise BadInput(f"{out} is no name for a plan: choose one that ends in .json; the picture goes beside it as .png.")
-    for path in (out, *(beside(out, ending) for ending in ENDINGS)):
+    for path in (out, *(sibling(out, ending) for ending in ENDINGS)):
         require_file_to_be(path)
 
 

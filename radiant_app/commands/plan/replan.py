@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.commands.plan.flight import NO_COLUMN
-from radiant_app.commands.plan.pictures import GANTT, LISTS, MAP, REGIONS, SYSTEM, beside
+from radiant_app.commands.plan.pictures import GANTT, LISTS, MAP, REGIONS, SYSTEM, sibling
 from radiant_app.commands.plan.plan import write_folder_atomically
 from radiant_app.commands.run.steps import require_file_to_be, stage_bar, training_part
 from radiant_app.files.out_folder import folder_made_for
@@ -107,7 +107,7 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
     for what cannot be used and where machines cannot hold what is left; nothing stays behind."""
     if request.out.suffix != ".json":
         raise BadInput(f"{request.out} is no name for a plan: choose one that ends in .json.")
-    for path in (request.out, *(beside(request.out, ending) for ending in ENDINGS)):
+    for path in (request.out, *(sibling(request.out, ending) for ending in ENDINGS)):
         require_file_to_be(path)
     before = _read_run(request) if request.source.is_dir() else _read_plan(request)
     joining = None if request.join is None else load_system(request.join)
@@ -144,11 +144,11 @@ def _limit_to_memory(system: System, num_positions: int) -> tuple[System, tuple[
 def _training_of(system: System) -> tuple[Preset, Overrides]:
     """The training that the costs of the planned machines hold for; the default one where their
     file does not say."""
-    known = system.training
-    preset = next((name for name in get_args(Preset) if known is not None and name == known.preset), None)
-    if known is None or preset is None:
+    training = system.training
+    preset = next((name for name in get_args(Preset) if training is not None and name == training.preset), None)
+    if training is None or preset is None:
         return "default", Overrides()
-    return preset, Overrides(long_side_px=known.long_side_px, num_steps=known.num_steps, max_num_splats=known.max_num_splats)
+    return preset, Overrides(long_side_px=training.long_side_px, num_steps=training.num_steps, max_num_splats=training.max_num_splats)
 
 
 def _grow_system(before: _Before, joining: System | None) -> System:
@@ -159,10 +159,10 @@ def _grow_system(before: _Before, joining: System | None) -> System:
     return system if joining is None else extend_system(system, joining)
 
 
-def _split_system(grown: System, known: System) -> tuple[System, System | None]:
-    devices = {device.id for device in known.devices}
+def _split_system(grown: System, earlier: System) -> tuple[System, System | None]:
+    devices = {device.id for device in earlier.devices}
     old, new = (
-        [replace(edge, devices=own) for edge in grown.edges if (own := tuple(d for d in edge.devices if (d.id in devices) == is_old))]
+        [replace(edge, devices=part) for edge in grown.edges if (part := tuple(d for d in edge.devices if (d.id in devices) == is_old))]
         for is_old in (True, False)
     )
     return replace(grown, edges=tuple(old)), System(edges=tuple(new)) if new else None
@@ -177,8 +177,8 @@ def _read_plan(request: ReplanRequest) -> _Before:
     require_same_system(edges, system)
     captured = np.zeros(len(waypoints), bool)
     if request.captured is not None:
-        taken = exif_waypoints(request.captured) if request.captured.is_dir() else read_waypoints(request.captured)
-        there = enu_from_geodetic(taken.waypoints.lat_lon_alt, waypoints.origin)[:, :2]
+        captured_waypoints = exif_waypoints(request.captured) if request.captured.is_dir() else read_waypoints(request.captured)
+        there = enu_from_geodetic(captured_waypoints.waypoints.lat_lon_alt, waypoints.origin)[:, :2]
         captured[nearest_planned(waypoints.positions_m[:, :2], there)] = True
     return _Before(
         cloud=cloud,
@@ -245,17 +245,17 @@ def _warn_undelivered(dealt: Sequence[EdgePlan], delivered: Sequence[EdgePlan]) 
     return (f"Not in this plan are the photographs that never arrived, of {', '.join(names)}: have them taken again.",) if names else ()
 
 
-def _add_progress(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], given: FleetChange) -> FleetChange:
-    """`given` with a run's progress: sealed nodes are done, others busy for their planned time."""
+def _add_progress(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], change: FleetChange) -> FleetChange:
+    """`change` with a run's progress: sealed nodes are done, others busy for their planned time."""
     sealed = {path.parent.name for kind in ("devices", "edges") for path in run.glob(f"{kind}/*/done.json")}
     delivered = {device.id for edge in system.edges if edge.id in sealed for device in edge.devices} | sealed
-    dead = given.dead - delivered  # what a dead machine has delivered is not lost
-    done = (given.done | sealed) - dead
+    dead = change.dead - delivered  # what a dead machine has delivered is not lost
+    done_nodes = (change.done | sealed) - dead
     expected = {row.node: row.stop_s for row in planned_stages(system, edges)}
     nodes = [node for node in (*manifest.stages, *manifest.emulated) if node.startswith("devices/") and node.count("/") == 1]
-    working = frozenset(node.removeprefix("devices/") for node in nodes) - done - dead
-    busy_s = {name: expected.get(f"devices/{name}", 0.0) * given.slow.get(name, 1.0) for name in working}
-    return replace(given, dead=dead, done=done, closed=given.closed | working, busy_s={**busy_s, **given.busy_s})
+    working = frozenset(node.removeprefix("devices/") for node in nodes) - done_nodes - dead
+    busy_s = {name: expected.get(f"devices/{name}", 0.0) * change.slow.get(name, 1.0) for name in working}
+    return replace(change, dead=dead, done=done_nodes, closed=change.closed | working, busy_s={**busy_s, **change.busy_s})
 
 
 def _write(out: Path, before: _Before, new: Replan) -> None:
@@ -269,15 +269,15 @@ def _write(out: Path, before: _Before, new: Replan) -> None:
     title = "What is still to come, predicted" if to_come else "As it was planned: all is done"
     gantt = gantt_picture(rows if to_come else gantt_rows(new.system, new.edges), title, curves_note(new.system))
     with folder_made_for(out), write_folder_atomically(out.parent) as folder:
-        save_png(folder / beside(out, MAP).name, picture)
-        save_png(folder / beside(out, GANTT).name, gantt)
-        write_atomic(folder / beside(out, MOVED).name, _moved_csv(before, new).encode())
-        write_atomic(folder / beside(out, SYSTEM).name, dump_system(new.system).encode())
+        save_png(folder / sibling(out, MAP).name, picture)
+        save_png(folder / sibling(out, GANTT).name, gantt)
+        write_atomic(folder / sibling(out, MOVED).name, _moved_csv(before, new).encode())
+        write_atomic(folder / sibling(out, SYSTEM).name, dump_system(new.system).encode())
         if before.waypoints is not None:
-            lists = folder / beside(out, LISTS).name
+            lists = folder / sibling(out, LISTS).name
             lists.mkdir()
             save_device_waypoints(lists, new.cloud, new.edges, before.waypoints)
-            save_regions_geojson(folder / beside(out, REGIONS).name, new.cloud, new.edges, before.waypoints)
+            save_regions_geojson(folder / sibling(out, REGIONS).name, new.cloud, new.edges, before.waypoints)
         save_plan(folder / out.name, new.cloud, new.edges, before.waypoints)
 
 
@@ -331,7 +331,7 @@ def _summary(out: Path, before: _Before, new: Replan, more: tuple[str, ...]) -> 
         }
         for index, (device, had, has) in enumerate(zip(new.system.devices, *ends, strict=True))
     ]
-    written = {"waypoints": str(beside(out, LISTS)), "regions": str(beside(out, REGIONS))}
+    written = {"waypoints": str(sibling(out, LISTS)), "regions": str(sibling(out, REGIONS))}
     return {
         "moved": int(new.moved.sum()),
         "captured": int(before.captured.sum()),
@@ -343,10 +343,10 @@ def _summary(out: Path, before: _Before, new: Replan, more: tuple[str, ...]) -> 
         "fewest_moves_proved": new.fewest_proved,
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
-        "picture": str(beside(out, MAP)),
-        "gantt": str(beside(out, GANTT)),
-        "moved_list": str(beside(out, MOVED)),
-        "system": str(beside(out, SYSTEM)),
+        "picture": str(sibling(out, MAP)),
+        "gantt": str(sibling(out, GANTT)),
+        "moved_list": str(sibling(out, MOVED)),
+        "system": str(sibling(out, SYSTEM)),
         **(written if before.waypoints is not None else {}),
         "devices": rows,
     }

@@ -33,21 +33,21 @@ class BegunCommand:
     def __init__(self, arguments: Sequence[str]) -> None:
         self.arguments = tuple(arguments)
         self._words: str | None = None
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the command)
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the command)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "radiant_app", *arguments],
             stdin=subprocess.DEVNULL,
-            stdout=self._said,
-            stderr=self._said,
+            stdout=self._output,
+            stderr=self._output,
             start_new_session=True,
         )
-        _begun[:] = [*(each for each in _begun if each.poll() is None), self]
+        _begun[:] = [*(command for command in _begun if command.poll() is None), self]
 
     def poll(self) -> str | None:
         """None while it is at work; its last words once it ended, empty where it ended well."""
         if self._words is None and (code := self._process.poll()) is not None:
             self._words = "" if code == 0 else self._last_words() or f"it ended with exit code {code}"
-            self._said.close()
+            self._output.close()
         return self._words
 
     def stop(self) -> None:
@@ -56,9 +56,9 @@ class BegunCommand:
             self._process.send_signal(signal.SIGINT)
 
     def _last_words(self) -> str:
-        size = self._said.seek(0, os.SEEK_END)
-        self._said.seek(max(0, size - MAX_WORDS))
-        lines = [line.strip() for line in self._said.read().decode(errors="replace").splitlines() if line.strip()]
+        size = self._output.seek(0, os.SEEK_END)
+        self._output.seek(max(0, size - MAX_WORDS))
+        lines = [line.strip() for line in self._output.read().decode(errors="replace").splitlines() if line.strip()]
         return lines[-1] if lines else ""
 
 
@@ -96,8 +96,8 @@ def resuming_arguments(run: Path) -> tuple[str, ...]:
     source = values.pop("source", None)
     if source is None:
         raise BadInput(f"{run} does not say of which photographs it is: type 'radiant run PHOTOGRAPHS --out {run} --resume'.")
-    given = [word for path, value in values.items() for word in _option(path, value)]
-    return ("run", str(source), "--out", str(run), *given, "--resume")
+    arguments = [word for path, value in values.items() for word in _option(path, value)]
+    return ("run", str(source), "--out", str(run), *arguments, "--resume")
 
 
 def _option(path: str, value: Any) -> Iterator[str]:

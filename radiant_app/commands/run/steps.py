@@ -115,21 +115,21 @@ def libraries_log_to(path: Path) -> Iterator[None]:
     Without effect if Python's standard error is not that of the process, as in tests."""
     stderr = sys.stderr
     try:
-        own = stderr.fileno() == 2
+        is_process_stderr = stderr.fileno() == 2
     except (AttributeError, OSError, ValueError):
-        own = False
-    if not own:
+        is_process_stderr = False
+    if not is_process_stderr:
         yield
         return
-    with os.fdopen(os.dup(2), "w", buffering=1, encoding=stderr.encoding, errors=stderr.errors) as shown, path.open("a") as log:
+    with os.fdopen(os.dup(2), "w", buffering=1, encoding=stderr.encoding, errors=stderr.errors) as terminal, path.open("a") as log:
         stderr.flush()
         os.dup2(log.fileno(), 2)
-        sys.stderr = shown
+        sys.stderr = terminal
         try:
             yield
         finally:
             sys.stderr = stderr
-            os.dup2(shown.fileno(), 2)
+            os.dup2(terminal.fileno(), 2)
 
 
 @contextmanager
@@ -137,4 +137,4 @@ def stage_bar(display: ProgressDisplay, stage: str) -> Iterator[Any]:
     """A progress bar of its own for one step; yields `report(done, total, note)`."""
     with display:
         display(StageStarted(stage=stage))
-        yield lambda done, total, note: display(StageProgress(stage=stage, done=done, total=total, note=note))
+        yield lambda num_done, total, note: display(StageProgress(stage=stage, done=num_done, total=total, note=note))

@@ -69,7 +69,7 @@ MIN_VALIDATED = 100
 """Fewer photographs are worth more in training than for choosing (experiments/training.md)."""
 STEPS_OF_A_TIME = 10_000_000
 """Limit of steps where a time ends the training."""
-KEPT = ("sfm/done.json", SCORES, f"{CHECKPOINTS}/*.json", "done.json")
+WORTH_RESUMING = ("sfm/done.json", SCORES, f"{CHECKPOINTS}/*.json", "done.json")
 """What is worth resuming after an error."""
 
 
@@ -145,7 +145,7 @@ def train(
     """
     if request.out.suffix.lower() == ".ply":
         return _single_ply(request, listen, resume, clock)
-    with open_folder(request.out, request.settings, resume, KEPT) as manifest:
+    with open_folder(request.out, request.settings, resume, WORTH_RESUMING) as manifest:
         progress = Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
         listen(Outlined(stages=(*(() if has_scene(request.source) else ("sfm",)), STAGE, "evaluation")))
         scene, photos = _scene_and_photos(request, progress)
@@ -236,9 +236,9 @@ def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Pho
             "`radiant run` when it is made, or train from the photographs."
         )
     scene, warnings, images = load_scored_scene(request.source)
-    given = load_given_frame(request.source)
-    if given is not None and request.out.is_dir():
-        save_given_frame(request.out, given)
+    source_frame = load_given_frame(request.source)
+    if source_frame is not None and request.out.is_dir():
+        save_given_frame(request.out, source_frame)
     for message in warnings:
         listen(Warned(stage=STAGE, message=message))
     return scene, _Photos(images=images, masks=masks_folder_of(request.source), captures=captures_of(request.source))

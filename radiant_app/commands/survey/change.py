@@ -70,10 +70,10 @@ def _compare(request: ChangeRequest, surveys: tuple[Survey, Survey], grid: MapGr
     older, newer = surveys
     with stage_bar(display, "alignment") as report:
         report(0, 1, "models")
-        first, second = ((each.splats, each.run.scene.cameras, each.run.scene.frame) for each in surveys)
+        first, second = ((survey.splats, survey.run.scene.cameras, survey.run.scene.frame) for survey in surveys)
         fit = fit_dates(first, second)
         report(1, 1, "models")
-    points = [points_of_survey(each, display, LONG_SIDE_PX) for each in surveys]
+    points = [points_of_survey(survey, display, LONG_SIDE_PX) for survey in surveys]
     # Points of the newer date lie on its own map: back to its world, and over to the older one.
     world = newer.map_frame.to_world(points[1].points)
     moved = replace(points[1], points=older.map_frame.from_world(fit.older_from_newer.apply(world)))
@@ -81,7 +81,7 @@ def _compare(request: ChangeRequest, surveys: tuple[Survey, Survey], grid: MapGr
     after, plane = levelled(before, after)
     tiles = [_picture(older, older, grid, None, display), _picture(newer, older, grid, fit.older_from_newer, display)]
     gsd = max(part.gsd for part in points)
-    found = find_change(DateRasters.of(before, tiles[0]), DateRasters.of(after, tiles[1]), gsd, request.min_area)
+    change = find_change(DateRasters.of(before, tiles[0]), DateRasters.of(after, tiles[1]), gsd, request.min_area)
     figures = {
         "crs": older.map_frame.crs,
         "cells": f"{grid.columns} x {grid.rows}",
@@ -92,11 +92,11 @@ def _compare(request: ChangeRequest, surveys: tuple[Survey, Survey], grid: MapGr
         "shift": [round(float(value), 3) for value in fit.shift],
         "left_between_points": round(fit.residual, 3),
         "height_taken_out": round(float(plane[0]), 3),
-        "comparable": float(f"{found.comparable.mean():.3g}"),
-        "patches": len(found.patches),
-        "changed_area": round(sum(patch.area for patch in found.patches), 1),
+        "comparable": float(f"{change.comparable.mean():.3g}"),
+        "patches": len(change.patches),
+        "changed_area": round(sum(patch.area for patch in change.patches), 1),
     }
-    _write(request.out, older, found, tiles, figures)
+    _write(request.out, older, change, tiles, figures)
     return {"written": str(request.out), **figures}
 
 
@@ -114,9 +114,9 @@ def _picture(survey: Survey, onto: Survey, grid: MapGrid, move: Sim3 | None, dis
     return render_tile(from_above(splats, support, cameras), camera)
 
 
-def _write(out: Path, older: Survey, found: Change, tiles: list[OrthoTile], figures: dict[str, Any]) -> None:
-    layer = np.dstack([found.height_change, found.color_change, found.by_height + 2 * found.by_color]).astype(np.float32)
-    raster = TiledRaster(place=found.grid, shape=found.grid.shape, bands=BANDS, tile_px=TILE_PX, dtype=np.float32, no_data=NO_DATA)
+def _write(out: Path, older: Survey, change: Change, tiles: list[OrthoTile], figures: dict[str, Any]) -> None:
+    layer = np.dstack([change.height_change, change.color_change, change.by_height + 2 * change.by_color]).astype(np.float32)
+    raster = TiledRaster(place=change.grid, shape=change.grid.shape, bands=BANDS, tile_px=TILE_PX, dtype=np.float32, no_data=NO_DATA)
     save_tiles(out / "change.tif", raster, cut_tiles(np.where(np.isfinite(layer), layer, np.float32(NO_DATA)), TILE_PX, NO_DATA))
     rows = [
         {
@@ -127,8 +127,8 @@ def _write(out: Path, older: Survey, found: Change, tiles: list[OrthoTile], figu
             "volume": round(patch.volume, 2) if np.isfinite(patch.volume) else None,
             "color_change": round(patch.color_change, 1),
         }
-        for number, patch in enumerate(found.patches, 1)
+        for number, patch in enumerate(change.patches, 1)
     ]
-    features = [polygon_feature(older.map_frame, patch.outline, row) for patch, row in zip(found.patches, rows, strict=True)]
+    features = [polygon_feature(older.map_frame, patch.outline, row) for patch, row in zip(change.patches, rows, strict=True)]
     write_json(out / "change.geojson", to_geojson(older.map_frame, features))
-    write_change_page(out / "report.html", found, [tile.image for tile in tiles], rows, figures)
+    write_change_page(out / "report.html", change, [tile.image for tile in tiles], rows, figures)

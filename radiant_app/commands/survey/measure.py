@@ -65,36 +65,36 @@ def measure_run(request: MeasureRequest, display: ProgressDisplay) -> dict[str, 
     if request.kind is not None and places is not None:
         # Before minutes of matching.
         require_measure(request.kind, places, request.base)
-    survey, kept = load_survey(request.run), load_measures(request.run)
+    survey, measures = load_survey(request.run), load_measures(request.run)
     if request.remove is not None:
-        take_out(request.run, kept, request.remove)
+        take_out(request.run, measures, request.remove)
     name = ""
     if request.kind is not None and places is not None:
-        name_for(request.kind, request.name, kept)
+        name_for(request.kind, request.name, measures)
         surface = surface_for_measures(survey, request.resolution, display)
-        found = measure(request.kind, places, surface, accuracy_of(survey), request.base)
-        name, kept = keep(survey, request.name, found)
+        measured = measure(request.kind, places, surface, accuracy_of(survey), request.base)
+        name, measures = keep(survey, request.name, measured)
     if request.export is not None:
-        export_measures(request.export, kept, survey.map_frame)
-    return {"measures": kept} if request.kind is None else {"name": name, **kept[name]}
+        export_measures(request.export, measures, survey.map_frame)
+    return {"measures": measures} if request.kind is None else {"name": name, **measures[name]}
 
 
-def take_out(run: Path, kept: dict[str, Any], name: str) -> None:
-    """Remove a measure from those `kept` and from the file; BadInput for an unknown name."""
-    if name not in kept:
-        raise BadInput(f"there is no measure named {name!r}: there are {', '.join(kept) or 'none'}.")
-    del kept[name]
-    save_measures(run, kept)
+def take_out(run: Path, measures: dict[str, Any], name: str) -> None:
+    """Remove a measure from `measures` and from the file; BadInput for an unknown name."""
+    if name not in measures:
+        raise BadInput(f"there is no measure named {name!r}: there are {', '.join(measures) or 'none'}.")
+    del measures[name]
+    save_measures(run, measures)
 
 
-def keep(survey: Survey, name: str | None, found: Measured) -> tuple[str, dict[str, Any]]:
+def keep(survey: Survey, name: str | None, measured: Measured) -> tuple[str, dict[str, Any]]:
     """Add a measure to the file, which may have others since the surface began; its name and all
     that are kept. BadInput as `name_for`."""
-    kept = load_measures(survey.run.folder)
-    name = name_for(found.kind, name, kept)
-    kept[name] = _record(found, survey)
-    save_measures(survey.run.folder, kept)
-    return name, kept
+    measures = load_measures(survey.run.folder)
+    name = name_for(measured.kind, name, measures)
+    measures[name] = _record(measured, survey)
+    save_measures(survey.run.folder, measures)
+    return name, measures
 
 
 def clicked_places(survey: Survey, surface: HeightMap, points: FloatArray, eyes: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -162,36 +162,36 @@ def surface_for_measures(survey: Survey, resolution: float | None, display: Prog
     return surface
 
 
-def name_for(kind: MeasureKind, name: str | None, kept: dict[str, Any]) -> str:
+def name_for(kind: MeasureKind, name: str | None, measures: dict[str, Any]) -> str:
     """The name of a new measure, by default its kind and a number; BadInput for one that is taken
     or cannot be written."""
-    name = name or next(f"{kind} {number}" for number in range(1, len(kept) + 2) if f"{kind} {number}" not in kept)
+    name = name or next(f"{kind} {number}" for number in range(1, len(measures) + 2) if f"{kind} {number}" not in measures)
     if not name.isprintable() or len(name) > MAX_NAME:
         raise BadInput(f"a name of {len(name)} characters came, expected at most {MAX_NAME} printable ones.")
-    if name in kept:
+    if name in measures:
         raise BadInput(f"there is a measure named {name!r}: choose another name, or --remove it first.")
     return name
 
 
-def _record(found: Measured, survey: Survey) -> dict[str, Any]:
+def _record(measured: Measured, survey: Survey) -> dict[str, Any]:
     unit = survey.run.unit
     record: dict[str, Any] = {
-        "kind": found.kind,
+        "kind": measured.kind,
         "crs": survey.map_frame.crs,
-        "places": np.round(found.places, 4).tolist(),
+        "places": np.round(measured.places, 4).tolist(),
         "figures": {
             figure.name: {
                 "value": round(figure.value, 4),
                 "sigma": round(figure.sigma, 4),
                 "unit": f"{unit}{('', '²', '³')[figure.power - 1]}",
             }
-            for figure in found.figures
+            for figure in measured.figures
         },
-        "filled": round(found.filled, 4),
-        "scale": scale_of_run(survey.run).said,
+        "filled": round(measured.filled, 4),
+        "scale": scale_of_run(survey.run).text,
     }
-    if len(found.profile):
-        record["profile"] = [[None if not np.isfinite(value) else round(float(value), 4) for value in row] for row in found.profile]
+    if len(measured.profile):
+        record["profile"] = [[None if not np.isfinite(value) else round(float(value), 4) for value in row] for row in measured.profile]
     return record
 
 
@@ -204,26 +204,26 @@ def require_export_name(path: Path) -> None:
         raise BadInput(f"{path} exists: choose another name.")
 
 
-def export_measures(path: Path, kept: dict[str, Any], map_frame: MapFrame) -> None:
+def export_measures(path: Path, measures: dict[str, Any], map_frame: MapFrame) -> None:
     """Write measures as .csv, or as .geojson in longitude and latitude, into a folder made for
     them."""
     with folder_made_for(path):
-        _write_measures(path, kept, map_frame)
+        _write_measures(path, measures, map_frame)
 
 
-def _write_measures(path: Path, kept: dict[str, Any], map_frame: MapFrame) -> None:
+def _write_measures(path: Path, measures: dict[str, Any], map_frame: MapFrame) -> None:
     if path.suffix.lower() == ".csv":
         lines = io.StringIO()
         writer = csv.writer(lines)
         writer.writerow(["name", "kind", "figure", "value", "sigma", "unit", "crs", "scale"])
-        for name, row in kept.items():
+        for name, row in measures.items():
             for figure, about in row["figures"].items():
                 # Numbers are numbers; any text may be a formula to a spreadsheet.
                 texts = [cell_of_text(text) for text in (name, row["kind"], figure, about["unit"], row["crs"], row.get("scale", ""))]
                 writer.writerow([*texts[:3], about["value"], about["sigma"], *texts[3:]])
         return write_atomic(path, lines.getvalue().encode())
     features = []
-    for name, row in kept.items():
+    for name, row in measures.items():
         make = polygon_feature if row["kind"] in ("area", "volume") else line_feature
         scale = {"scale": row["scale"]} if "scale" in row else {}
         features.append(make(map_frame, places_of(row), {"name": name, "kind": row["kind"], **row["figures"], **scale}))

@@ -77,9 +77,9 @@ def support_of_survey(survey: Survey, display: ProgressDisplay, long_side_px: in
     """Which photographs constrain each Gaussian: as the run measured it, else measured now."""
     from radiant_core.evaluate.support import support_of
 
-    kept = run_support(survey.run)
-    if kept is not None:
-        return kept
+    stored = run_support(survey.run)
+    if stored is not None:
+        return stored
     cameras = survey.run.scene.cameras.select(np.array(survey.trained, np.int64)).scaled(long_side_px)
     with stage_bar(display, "support") as report:
-        return support_of(survey.splats, cameras, report=lambda done, total: report(done, total, "views"))
+        return support_of(survey.splats, cameras, report=lambda num_done, total: report(num_done, total, "views"))

@@ -58,14 +58,14 @@ def points_of_survey(survey: Survey, display: ProgressDisplay, long_side_px: int
         _warn_of_steps(survey, display)
     with stage_bar(display, "surface") as report:
 
-        def hear(done: int, total: int) -> None:
-            report(done, total, "views")
+        def hear(num_done: int, total: int) -> None:
+            report(num_done, total, "views")
 
         if from_photographs and images is not None:
-            found = _matched(survey, images, hear)
+            parts_found = _matched(survey, images, hear)
         else:
-            found = points_of_model(survey.splats, scene, long_side_px, survey.ground.reach, hear)
-        parts = [_kept_part(survey, part.points, part.colors) for part in found if len(part)]
+            parts_found = points_of_model(survey.splats, scene, long_side_px, survey.ground.reach, hear)
+        parts = [_kept_part(survey, part.points, part.colors) for part in parts_found if len(part)]
     parts = [part for part in parts if len(part[0])]
     if not parts:
         raise BadInput("no three views agree on any point of the surface: train the model further, or add photographs that overlap.")
@@ -110,8 +110,8 @@ def _warn_of_steps(survey: Survey, display: ProgressDisplay) -> None:
 
 def _kept_part(survey: Survey, points: FloatArray, colors: NDArray[np.uint8]) -> tuple[FloatArray, NDArray[np.uint8]]:
     """Points on the map, and their colours, without what the cleaning leaves out."""
-    kept = keeps_places(survey.cleaning, points, survey.regions)
-    return survey.map_frame.from_world(points[kept]), colors[kept]
+    keep_mask = keeps_places(survey.cleaning, points, survey.regions)
+    return survey.map_frame.from_world(points[keep_mask]), colors[keep_mask]
 
 
 def _kept_land(survey: Survey, grid: MapGrid) -> NDArray[np.bool_]:
@@ -119,11 +119,11 @@ def _kept_land(survey: Survey, grid: MapGrid) -> NDArray[np.bool_]:
     if not survey.cleaning.steps:
         return np.ones(grid.shape, bool)
     east, north = grid.centers()
-    kept = np.empty(grid.shape, bool)
+    keep_mask = np.empty(grid.shape, bool)
     for row, at in enumerate(north):
         places = np.column_stack([east, np.full(len(east), at), np.full(len(east), survey.ground.level)])
-        kept[row] = keeps_land(survey.cleaning, survey.map_frame.to_world(places)[:, :2], survey.regions)
-    return kept
+        keep_mask[row] = keeps_land(survey.cleaning, survey.map_frame.to_world(places)[:, :2], survey.regions)
+    return keep_mask
 
 
 def _matched(survey: Survey, images: Path, hear: Callable[[int, int], None]) -> Iterator[DensePoints]:

@@ -39,7 +39,7 @@ class Measuring:
 
     def __init__(self, run: Path, display: ProgressDisplay) -> None:
         self._run, self._display = run, display
-        self._read: tuple[FileStamps, Survey, HeightMap] | None = None
+        self._cached: tuple[FileStamps, Survey, HeightMap] | None = None
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Do what is asked; a RadiantError becomes its sentence."""
@@ -68,15 +68,15 @@ class Measuring:
         require_measure(kind, points, request.get("base"))
         survey, surface = self._surface()
         places, sigmas = measures.clicked_places(survey, surface, points, eyes)
-        found = measure(kind, places, surface, measures.accuracy_of(survey), request.get("base"), sigmas)
-        return measures.keep(survey, wanted, found)[0]
+        measured = measure(kind, places, surface, measures.accuracy_of(survey), request.get("base"), sigmas)
+        return measures.keep(survey, wanted, measured)[0]
 
     def _surface(self) -> tuple[Survey, HeightMap]:
         stamps = file_stamps(self._run)
-        if self._read is None or self._read[0] != stamps:
+        if self._cached is None or self._cached[0] != stamps:
             survey = load_survey(self._run)
-            self._read = stamps, survey, measures.surface_for_measures(survey, None, self._display)
-        return self._read[1:]
+            self._cached = stamps, survey, measures.surface_for_measures(survey, None, self._display)
+        return self._cached[1:]
 
 
 def _rows(points: list[list[float | None]]) -> FloatArray:

@@ -113,11 +113,11 @@ def test_held_gaussians_keep_their_bits_and_need_a_fixed_count() -> None:
 
     views, held = synthetic_views(truth, CAMERAS), np.arange(len(old)) % 3 == 0
     config = replace(TRAIN, num_steps=12, density=NoDensification(), start_scale=1.0)
-    trained = fit_splats(old, views, config, FitOptions(held=held)).splats
+    trained = fit_splats(old, views, config, FitOptions(frozen=held)).splats
     for name, array in old.arrays().items():
         assert np.array_equal(getattr(trained, name)[held], array[held]), name
     assert (trained.means[~held] != old.means[~held]).any()
     with pytest.raises(BadInput, match="density"):
-        fit_splats(old, views, replace(config, density=Adc()), FitOptions(held=held))
+        fit_splats(old, views, replace(config, density=Adc()), FitOptions(frozen=held))
     with pytest.raises(BadInput, match="one truth value"):
-        fit_splats(old, views, config, FitOptions(held=held[1:]))
+        fit_splats(old, views, config, FitOptions(frozen=held[1:]))

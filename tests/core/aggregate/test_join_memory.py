@@ -92,7 +92,7 @@ def test_more_of_anything_never_takes_less() -> None:
 
 
 def limit_of(num_bytes: float) -> JoinLimit:
-    return JoinLimit(num_bytes=num_bytes, whose="memory_gb of this edge", lift="raise memory_gb of this edge")
+    return JoinLimit(num_bytes=num_bytes, label="memory_gb of this edge", lift="raise memory_gb of this edge")
 
 
 @pytest.mark.parametrize(("num_tiles", "fits", "costs"), [(4, True, TILES_COST), (MAX_TILES, False, CUT_AT_EDGE_COSTS)])

@@ -119,7 +119,7 @@ def test_what_is_held_and_what_no_view_reaches_keeps_its_bits() -> None:
     far = replace(given.select(np.arange(40)), means=given.means[:40] + np.float32([500, 0, 0]))
     moving, held = concatenate_splats([given.select(own), far]), given.select(~own)
     before = {name: array.copy() for name, array in held.arrays().items()}
-    made = retrain(moving, views(), TRAIN, AGGREGATE, NATIVE, held=held)
+    made = retrain(moving, views(), TRAIN, AGGREGATE, NATIVE, frozen=held)
     assert not made.reached[-40:].any() and made.reached[:-40].sum() >= len(made.splats) > 0.9 * own.sum()
     for name, array in held.arrays().items():
         np.testing.assert_array_equal(array, before[name], err_msg=name)

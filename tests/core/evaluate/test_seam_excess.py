@@ -56,10 +56,10 @@ def errors_by_ground(west: float, east: float, plan: CloudPlan = PLAN, own: floa
 
 def test_ground_that_is_hard_on_one_side_cancels_out_and_what_costs_beyond_the_border_does_not() -> None:
     hard = pooled_excess(errors_by_ground(0.05, 0.5))
-    assert hard.excess_db == pytest.approx(0, abs=1e-2) and hard.found is False
+    assert hard.excess_db == pytest.approx(0, abs=1e-2) and hard.has_seam is False
     # Half the error on the own side is a quarter of its square; 1e-6 is added to each.
     cut = pooled_excess(errors_by_ground(0.05, 0.5, own=0.5))
-    assert cut.excess_db == pytest.approx(10 * np.log10(4), abs=1e-2) and cut.found
+    assert cut.excess_db == pytest.approx(10 * np.log10(4), abs=1e-2) and cut.has_seam
     assert cut.at_least_db is not None and cut.at_least_db > MARGIN_DB
 
 
@@ -83,7 +83,7 @@ def test_too_few_photographs_of_either_side_or_one_region_have_no_figure() -> No
     errors = errors_by_ground(0.1, 0.2)
     few = [error for error in errors if error.side == "0"] + [error for error in errors if error.side == "1"][:2]
     told = pooled_excess(few)
-    assert told.excess_db is None and told.found is None and "3 training photographs" in str(told.reason)
+    assert told.excess_db is None and told.has_seam is None and "3 training photographs" in str(told.reason)
     assert errors_by_ground(0.1, 0.2, plan_of(SITES[:1], np.zeros(1))) == [] and pooled_excess([]).reason
 
 
@@ -178,7 +178,7 @@ def joined(cloud: str) -> Splats:
 def test_a_cut_is_found_a_joined_model_is_better_and_an_uncut_one_has_no_seam() -> None:
     cut, join = ground().excess(joined("crop_merge")), ground().excess(joined("retrain"))
     uncut = ground().excess(ground().model(WEST + EAST, 600))
-    assert cut.found
-    assert uncut.found is False
-    assert join.found is False
+    assert cut.has_seam
+    assert uncut.has_seam is False
+    assert join.has_seam is False
     assert cut.excess_db is not None and join.excess_db is not None and join.excess_db < cut.excess_db - 0.5

@@ -38,7 +38,7 @@ def test_places_agree_with_pyproj_and_come_back(text: str) -> None:
 )
 def test_the_names_of_odm_are_zones_of_our_own(text: str, epsg: int) -> None:
     crs = parse_crs(text)
-    assert (crs.own, crs.horizontal_epsg, crs.unit) == (True, epsg, "metre")
+    assert (crs.is_builtin, crs.horizontal_epsg, crs.unit) == (True, epsg, "metre")
 
 
 def test_a_zone_in_wkt_is_the_zone(tmp_path: Path) -> None:

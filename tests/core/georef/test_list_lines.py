@@ -176,7 +176,7 @@ def test_what_may_mean_two_things_is_refused(lines: list[str], said: str) -> Non
 
 @pytest.mark.parametrize("header", ["+proj=utm +zone=18 +datum=WGS84 +units=us-ft", "+proj=utm +zone=18 +datum=WGS84 +units=km +no_defs"])
 def test_a_zone_in_another_unit_is_not_our_own(header: str) -> None:
-    assert not parse_crs(header).own
+    assert not parse_crs(header).is_builtin
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le"])

@@ -32,7 +32,7 @@ def part(rows: np.ndarray, shots: Shots = SHOTS) -> Shots:
 
 def lights_of(gains: np.ndarray) -> Lights:
     known = np.ones(len(gains), bool)
-    return replace(no_lights(CAMERAS.select(np.flatnonzero(~HELD))), log_gains=gains[~HELD], known=known[~HELD])
+    return replace(no_lights(CAMERAS.select(np.flatnonzero(~HELD))), log_gains=gains[~HELD], is_known=known[~HELD])
 
 
 def predicted(gains: np.ndarray, shots: Shots = SHOTS):
@@ -59,7 +59,7 @@ PLACED = 0.02 * np.array(PLACES)[:, :1] * np.ones(3)
 def test_the_predictor_that_is_right_is_chosen_and_states_its_error(gains: np.ndarray, choice: tuple[str, str]) -> None:
     noisy = gains + np.random.default_rng(1).normal(0, 0.005, gains.shape)
     found, error = predicted(noisy)
-    assert (found.base, found.rest) == choice
+    assert (found.base, found.interpolation) == choice
     assert error < 0.5 * found.mean_error and error < 2 * found.error and found.error < 0.6 * found.mean_error
     decision = found.decision("evaluation", 56)
     assert decision.figure == pytest.approx(100 * found.error) and "predicted by" in decision.choice
@@ -67,10 +67,10 @@ def test_the_predictor_that_is_right_is_chosen_and_states_its_error(gains: np.nd
 
 def test_noise_is_predicted_by_its_mean_and_nothing_by_nothing() -> None:
     found, _ = predicted(np.random.default_rng(3).normal(0, 0.1, (64, 3)))
-    assert (found.base, found.rest) == ("mean", "none") and "mean of the training photographs" in found.decision("s", 56).choice
+    assert (found.base, found.interpolation) == ("mean", "none") and "mean of the training photographs" in found.decision("s", 56).choice
     few = predict_lights(lights_of(TIME).select([0, 1]), part(np.array([1, 2])), POINTS[1:3], part(np.array([0])))
-    assert (few.base, few.rest) == ("mean", "none")
-    unknown = replace(lights_of(TIME), known=np.zeros(56, bool))
+    assert (few.base, few.interpolation) == ("mean", "none")
+    unknown = replace(lights_of(TIME), is_known=np.zeros(56, bool))
     rows = np.flatnonzero(~HELD)
     none = predict_lights(unknown, part(rows), [POINTS[row] for row in rows], part(np.array([0])))
     assert not none.lights.log_gains.any() and none.error == 0
@@ -81,7 +81,7 @@ def test_what_is_not_known_is_predicted_by_no_one() -> None:
     gains[5] = 50.0
     known = (np.arange(64) != 5)[~HELD]
     rows, asked = np.flatnonzero(~HELD), np.flatnonzero(HELD)
-    lights = replace(lights_of(gains), known=known)
+    lights = replace(lights_of(gains), is_known=known)
     found = predict_lights(lights, part(rows), [POINTS[row] for row in rows], part(asked))
     assert np.abs(found.lights.log_gains - TIME[asked]).max() < 0.05
 
@@ -89,7 +89,7 @@ def test_what_is_not_known_is_predicted_by_no_one() -> None:
 def test_without_exif_or_with_one_exposure_there_is_no_slope() -> None:
     for exposures in (np.full(64, np.nan), np.full(64, 3.0)):
         found, _ = predicted(EXPOSED + TIME, replace(SHOTS, log2_exposures=exposures))
-        assert (np.isfinite(found.lights.log_gains).all() and found.rest == "time") or found.error <= found.mean_error
+        assert (np.isfinite(found.lights.log_gains).all() and found.interpolation == "time") or found.error <= found.mean_error
     some = np.where(np.arange(64) % 5 == 0, np.nan, EXPOSURES)
     assert np.isfinite(predicted(EXPOSED, replace(SHOTS, log2_exposures=some))[0].lights.log_gains).all()
 

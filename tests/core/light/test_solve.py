@@ -58,7 +58,7 @@ def test_gains_and_vignetting_that_were_planted_are_found() -> None:
     # The prior and the wrong ones weigh next to nothing where all else agrees.
     assert np.abs(lights.log_gains - gains).max() < 1e-6
     assert np.abs(radii @ (lights.vignettings[0] - TERMS)).max() < 1e-6
-    assert lights.known.all() and lights.spread == pytest.approx(np.sqrt(np.mean(gains.var(axis=0))), abs=1e-6)
+    assert lights.is_known.all() and lights.spread == pytest.approx(np.sqrt(np.mean(gains.var(axis=0))), abs=1e-6)
     assert lights.corner == pytest.approx(-0.25, abs=1e-6)
 
 
@@ -114,13 +114,13 @@ def test_photographs_that_share_nothing_are_not_known(num_views: int) -> None:
     logs = np.random.default_rng(6).normal(4, 1, (len(view), 3))
     alone = Observations(view=view, squared_radii=np.full(len(view), 0.5), logs=logs, place=np.arange(len(view)))
     lights = solve_lights(alone, cameras)
-    assert not lights.known.any() and not lights.log_gains.any() and not lights.vignettings.any() and lights.spread == 0
+    assert not lights.is_known.any() and not lights.log_gains.any() and not lights.vignettings.any() and lights.spread == 0
 
 
 def test_without_observations_nothing_is_known() -> None:
     nothing = Observations(view=np.zeros(0, np.int64), squared_radii=np.zeros(0), logs=np.zeros((0, 3)), place=np.zeros(0, np.int64))
     lights = solve_lights(nothing, CAMERAS)
-    assert not lights.known.any() and lights.corner == 0
+    assert not lights.is_known.any() and lights.corner == 0
     assert np.array_equal(lights.factors(3, CAMERAS), np.ones((48, 64, 3), np.float32))
 
 
@@ -205,7 +205,7 @@ def test_some_points_tell_that_light_is_alike_and_all_are_asked_where_it_differs
     monkeypatch.setattr(solve, "solve_lights", lambda observed, *rest: solved.append(len(observed.view)) or whole(observed, *rest))
     some, every = lights_if_they_differ(scene, alike), lights_from_tracks(scene, alike)
     assert 2 * solved[0] < solved[1] and len(solved) == 2
-    assert some.regime.row == every.regime.row == "light-alike" and some.spread < 0.01 and some.known.all()
+    assert some.regime.row == every.regime.row == "light-alike" and some.spread < 0.01 and some.is_known.all()
     solved.clear()
     different = lights_if_they_differ(scene, views)
     assert len(solved) == 2 and 2 * solved[0] < solved[1]
@@ -217,16 +217,16 @@ def test_a_model_tells_the_light_of_photographs_beside_its_own() -> None:
     _, views, gains, _ = uneven_scene()
     model = ground_splats(400)
     seen = lights_from_model(model, views)
-    assert np.abs(seen.lights.log_gains - gains).max() < 0.01 and seen.lights.known.all()
+    assert np.abs(seen.lights.log_gains - gains).max() < 0.01 and seen.lights.is_known.all()
     assert seen.lights.corner == pytest.approx(-0.2, abs=0.02)
     # Places lie on the ground, |z| ≤ 0.3 m.
     assert all(len(own) > 30 and np.abs(own[:, 2]).max() < 0.8 for own in seen.places)
     masked = replace(views, weights=tuple(np.zeros(image.shape[:2], np.uint8) for image in views.images))
-    assert not lights_from_model(model, masked).lights.known.any()
+    assert not lights_from_model(model, masked).lights.is_known.any()
 
 
 def test_lights_refuse_shapes_that_disagree() -> None:
     with pytest.raises(BadInput, match="flags that are not there"):
-        Lights(log_gains=np.zeros((2, 3)), camera_of=np.array([0, 1]), vignettings=np.zeros((1, NUM_TERMS, 3)), known=np.ones(2, bool))
+        Lights(log_gains=np.zeros((2, 3)), camera_of=np.array([0, 1]), vignettings=np.zeros((1, NUM_TERMS, 3)), is_known=np.ones(2, bool))
     with pytest.raises(BadInput, match="not finite"):
         replace(no_lights(CAMERAS), log_gains=np.full((NUM_VIEWS, 3), np.nan))

@@ -11,7 +11,7 @@ import shapely
 from radiant_core.errors import BadInput
 from radiant_core.next_flight.candidates import FlightRules, air_over, candidate_views, usual_take_off
 from radiant_core.next_flight.choosing import choose_views, gain_of
-from radiant_core.next_flight.sightings import Known, known_by
+from radiant_core.next_flight.sightings import Knowledge, known_by
 from radiant_core.next_flight.way import safe_way, shortest_order
 from tests.core.next_flight.block import FRAME, LENS, block_facets, block_sights, looks
 
@@ -115,6 +115,6 @@ def test_a_round_trip_is_no_longer_than_a_grid_needs() -> None:
 def test_nothing_known_is_all_unseen() -> None:
     sights = block_sights()
     known = known_by(sights, looks((0.0, 0.0, 40.0)).select([]), ())
-    assert isinstance(known, Known)
+    assert isinstance(known, Knowledge)
     assert known.unseen.all()
     assert not known.weak.any()

@@ -19,14 +19,14 @@ def seen_from_above() -> KnownMap:
     known = known_by(sights, cameras, sights.all_of(cameras))
     error_db = np.where(known.unseen, np.nan, 25.0)
     support = np.full(sights.facets.surface.grid.shape, 0.5)
-    return KnownMap(facets=sights.facets, known=known, support=support, error_db=error_db, margin_db=2.0)
+    return KnownMap(facets=sights.facets, knowledge=known, support=support, error_db=error_db, margin_db=2.0)
 
 
 def hidden_around(found: KnownMap) -> int:
     """How many cells of the ground touch the block: 4 · 10 beside its sides, fewer or more by its
     rounded corners, whose cells the middle of the picture sees past."""
     tops = found.facets.places[~found.facets.is_wall]
-    hidden = found.known.unseen[~found.facets.is_wall]
+    hidden = found.knowledge.unseen[~found.facets.is_wall]
     assert (np.abs(tops[hidden, :2]).max(axis=1) < SIDE / 2 + 1).all()
     assert (tops[hidden, 2] == 0).all()
     assert 36 <= hidden.sum() <= 44

@@ -12,7 +12,7 @@ from radiant_core.errors import BadInput
 from radiant_core.plan.borders.borders import Border, distance_outside_m, neighbours_across, shared_borders
 from radiant_core.plan.borders.buffers import BufferRule, plan_buffers
 from radiant_core.plan.borders.footprints import Optics, ground_footprints, region_shares, views_before_capture
-from radiant_core.plan.borders.forecast import BorderForecast, RiskModel, _band_spots, _evenly, _Seen, band_of, forecast_borders
+from radiant_core.plan.borders.forecast import BorderForecast, RiskModel, _band_spots, _evenly, _Visibility, band_of, forecast_borders
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
@@ -263,15 +263,15 @@ def test_who_sees_a_spot_is_what_shapely_says_wherever_the_site_lies(shift_m: fl
     positions = rng.random((60, 2)) * 100 + shift_m
     footprints = ground_footprints(views_before_capture(positions, rng.uniform(3, 12, 60), OPTICS, rng.uniform(-80, 80, (60, 2))))
     owners = rng.integers(0, 2, 60)
-    seen = _Seen(footprints, owners, {1: np.array([0, 1, 2])})
+    visibility = _Visibility(footprints, owners, {1: np.array([0, 1, 2])})
     spots = rng.random((40, 2)) * 30 + 35 + shift_m
-    images, sees = seen(spots)
+    images, sees = visibility(spots)
     shapes = [shapely.Polygon(polygon - shift_m) for polygon in footprints.polygons]
     truth = np.array([[shape.covers(shapely.Point(spot - shift_m)) for spot in spots] for shape in shapes])
     assert set(np.flatnonzero(truth.any(axis=1))) <= set(images.tolist()) and (np.diff(images) > 0).all()
     assert (sees != truth[images]).mean() < (1e-3 if shift_m else 1e-9)
-    np.testing.assert_array_equal(seen.own(images, 0), owners[images] == 0)
-    np.testing.assert_array_equal(seen.own(images, 1), (owners[images] == 1) | np.isin(images, [0, 1, 2]))
+    np.testing.assert_array_equal(visibility.taken_by(images, 0), owners[images] == 0)
+    np.testing.assert_array_equal(visibility.taken_by(images, 1), (owners[images] == 1) | np.isin(images, [0, 1, 2]))
 
 
 def test_an_edge_known_by_its_curve_takes_no_buffers_and_times_count_what_is_sent() -> None:

@@ -162,9 +162,9 @@ def test_known_poses_on_a_map_are_moved_by_whole_hundreds_and_find_their_photogr
     write_model(tmp_path / "sparse" / "0", renamed(model, name_of))
     poses = read_given_poses(tmp_path, None, where)
     assert poses.cameras.names == tuple(image.name for image in model.images)
-    assert (poses.given.given_from_scene.translation % 100 == 0).all() and np.abs(poses.cameras.centers).max() < 1000
+    assert (poses.frame.given_from_scene.translation % 100 == 0).all() and np.abs(poses.cameras.centers).max() < 1000
     expected = np.array([center_of(image) for image in model.images])
-    assert np.allclose(poses.given.given_from_scene.apply(poses.cameras.centers), expected, rtol=0, atol=1e-8)
+    assert np.allclose(poses.frame.given_from_scene.apply(poses.cameras.centers), expected, rtol=0, atol=1e-8)
     (tmp_path / "device").mkdir()
     assert poses.deal(poses.cameras.names[:4], tmp_path / "device")
     assert poses.model is not None
@@ -205,7 +205,7 @@ def test_poses_near_their_origin_stay_to_the_last_bit(tmp_path: Path) -> None:
     write_photographs(tmp_path / "images")
     write_model(tmp_path / "model", hamlet_model())
     poses = read_given_poses(tmp_path, tmp_path / "model")
-    assert poses.given.is_same and poses.notes == () and poses.model is not None
+    assert poses.frame.is_same and poses.notes == () and poses.model is not None
     for image, given in zip(poses.model.images, hamlet_model().images, strict=True):
         assert (image.translation == given.translation).all() and (image.quat_wxyz == given.quat_wxyz).all()
 

@@ -146,7 +146,7 @@ def test_devices_are_given_the_poses_of_an_alignment(where: Where, tmp_path: Pat
     numbers = [truth.names.index(name) for name in poses.cameras.names]
     assert len(numbers) == (6 if where == "own" else 12)
     assert np.abs(poses.cameras.centers - truth.C[numbers]).max() < 1e-9
-    assert poses.given.is_same and poses.given.is_default
+    assert poses.frame.is_same and poses.frame.is_default
     assert poses.deal(poses.cameras.names[:3], tmp_path) and len(read_model(tmp_path / "poses").images) == 3
 
 
@@ -155,8 +155,8 @@ def test_devices_get_a_frame_that_all_share_and_lenses_that_they_can_undistort(t
     path = writers.pix4d(tmp_path, truth, prj="EPSG:25832")
     poses = read_given_poses(photos, path, "together")
     numbers = [truth.names.index(name) for name in poses.cameras.names]
-    assert poses.given.crs == "EPSG:25832"
-    assert np.abs(poses.given.given_from_scene.apply(poses.cameras.centers) - truth.C[numbers] - writers.UTM).max() < 1e-6
+    assert poses.frame.crs == "EPSG:25832"
+    assert np.abs(poses.frame.given_from_scene.apply(poses.cameras.centers) - truth.C[numbers] - writers.UTM).max() < 1e-6
     with pytest.raises(BadInput, match="take the same whole numbers off"):
         read_given_poses(photos, path, "own")
     bending = bent_hamlet(tmp_path, BROWN, k4=0.02, skew=1.5)

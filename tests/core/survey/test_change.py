@@ -25,7 +25,7 @@ def ground(seed: int = 0) -> DateRasters:
     image = np.clip(texture + rng.normal(0, 4, texture.shape), 20, 235).astype(np.uint8)
     heights = 5 * np.sin(np.arange(400) / 60)[None] + np.zeros(GRID.shape) + rng.normal(0, 0.03, GRID.shape)
     surface = HeightMap(grid=GRID, heights=heights, sigma=np.full(GRID.shape, 0.05, np.float32), source=np.ones(GRID.shape, np.uint8))
-    return DateRasters(heights=surface, image=image, known=np.ones(GRID.shape, bool))
+    return DateRasters(heights=surface, image=image, is_known=np.ones(GRID.shape, bool))
 
 
 def changed() -> DateRasters:
@@ -38,7 +38,7 @@ def changed() -> DateRasters:
     # Exposure of ±20 % that varies over the ground.
     light = np.linspace(0.8, 1.2, 400)[None, :, None]
     return DateRasters(
-        heights=replace(later.heights, heights=heights), image=np.clip(image * light, 0, 255).astype(np.uint8), known=later.known
+        heights=replace(later.heights, heights=heights), image=np.clip(image * light, 0, 255).astype(np.uint8), is_known=later.is_known
     )
 
 
@@ -65,7 +65,7 @@ def test_the_same_ground_under_other_light_has_not_changed() -> None:
 
 
 def test_what_one_date_did_not_see_is_not_compared() -> None:
-    unseen = replace(changed(), known=np.zeros(GRID.shape, bool))
+    unseen = replace(changed(), is_known=np.zeros(GRID.shape, bool))
     assert [patch.kind for patch in find_change(ground(), unseen, GSD).patches] == ["height"]
     nothing = replace(unseen.heights, source=np.zeros(GRID.shape, np.uint8), heights=np.full(GRID.shape, np.nan))
     with pytest.raises(BadInput, match="no cell is known at both dates"):

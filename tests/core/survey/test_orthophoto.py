@@ -122,11 +122,11 @@ def test_what_only_the_sky_or_one_photograph_knows_does_not_hide_the_ground() ->
     grid = MapGrid(north_west=np.array([-3.0, 3.0]), cell=0.1, rows=60, columns=60, epsg=None)
     camera = ortho_camera(grid, map_frame_of(NOWHERE), 0.0, (0, 0), grid.shape)
     tile, clear = render_tile(seen, camera), render_tile(all_seen(ground), camera)
-    assert clear.known.mean() > 0.9
-    np.testing.assert_array_equal(tile.image[clear.known], clear.image[clear.known])
-    assert (tile.views[clear.known] == 5).all() and (tile.bands()[..., 3][~tile.known] == 0).all()
+    assert clear.is_known.mean() > 0.9
+    np.testing.assert_array_equal(tile.image[clear.is_known], clear.image[clear.is_known])
+    assert (tile.views[clear.is_known] == 5).all() and (tile.bands()[..., 3][~tile.is_known] == 0).all()
     # Ground of ±0.3 m.
-    assert np.abs(tile.height[clear.known]).max() < 0.6
+    assert np.abs(tile.height[clear.is_known]).max() < 0.6
     with pytest.raises(BadInput, match="no Gaussian lies below the cameras"):
         from_above(sky, Support(num_views=np.full(50, 9), parallax_deg=np.full(50, 30.0), shown_px=np.ones(50)), cameras)
 
@@ -134,7 +134,7 @@ def test_what_only_the_sky_or_one_photograph_knows_does_not_hide_the_ground() ->
 def test_a_tile_that_nothing_reaches_is_empty() -> None:
     grid = MapGrid(north_west=np.array([1e4, 1e4]), cell=0.1, rows=16, columns=16, epsg=None)
     tile = render_tile(all_seen(ground_splats(50)), ortho_camera(grid, map_frame_of(NOWHERE), 0.0, (0, 0), grid.shape))
-    assert not tile.known.any() and not tile.bands().any() and np.isnan(tile.height).all()
+    assert not tile.is_known.any() and not tile.bands().any() and np.isnan(tile.height).all()
 
 
 def test_gdal_reads_the_bands_their_place_and_their_system(tmp_path: Path) -> None:

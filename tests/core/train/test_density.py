@@ -199,7 +199,7 @@ class TestSchedule:
             widest = np.maximum(widest, output.radii_px[0].numpy())
         assert seen.min() < 3 <= seen.max() and sums.max() > 0
         np.testing.assert_allclose(policy.statistics.sums, sums, rtol=1e-5, atol=1e-12)
-        np.testing.assert_array_equal(policy.statistics.seen, seen)
+        np.testing.assert_array_equal(policy.statistics.view_counts, seen)
         np.testing.assert_array_equal(policy.statistics.radii_px, widest.astype(np.float32))
 
     def test_absolute_statistics_are_those_of_the_pixels_and_poison_is_not_remembered(self) -> None:

@@ -48,13 +48,13 @@ class Trainings:
         assert trial.config.cross_validate == "none" and len(self.asked) <= trial.number < trial.most
         key = trial.config.drop_gaussians, getattr(trial.config.density, "pixels_per_splat", None)
         self.asked.append(key)
-        self.apart.append(trial.held)
+        self.apart.append(trial.held_out)
         self.most = trial.most
-        self.lengths.add(fit_to_views(trial.config, photographs(int((~trial.held).sum())))[0].num_steps)
+        self.lengths.add(fit_to_views(trial.config, photographs(int((~trial.held_out).sum())))[0].num_steps)
         figure = self.table[key]
         if figure is None:
             raise StageFailed("training: 20 steps in a row could not be taken; lower the learning rates.")
-        return figure + np.linspace(-3, 3, trial.held.sum())
+        return figure + np.linspace(-3, 3, trial.held_out.sum())
 
     @property
     def candidates(self) -> list[tuple[str, int | None]]:

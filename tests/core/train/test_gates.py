@@ -38,7 +38,7 @@ class Trainings:
         figure = self.figures[bool(trial.config.fill_in), trial.config.sky]
         if figure is None:
             raise StageFailed("training: 20 steps in a row could not be taken; lower the learning rates.")
-        return figure + np.linspace(-3, 3, trial.held.sum())
+        return figure + np.linspace(-3, 3, trial.held_out.sum())
 
 
 def chosen(trainings: Trainings, config: TrainConfig = LONG) -> Choice:
@@ -57,7 +57,7 @@ def test_photographs_that_see_through_points_choose(with_db: float, without_db: 
     assert decision.otherwise == f"--set train.fill_in={'false' if expected else 'true'}"
     assert decision.otherwise_db == pytest.approx(without_db - with_db if expected else with_db - without_db)
     for trial in trainings.asked:
-        assert (trial.config.num_steps, trial.long_side_px, trial.held.sum()) == (MOST_STEPS, 80, 1)
+        assert (trial.config.num_steps, trial.long_side_px, trial.held_out.sum()) == (MOST_STEPS, 80, 1)
 
 
 def test_a_trial_that_fails_leaves_what_its_case_says() -> None:

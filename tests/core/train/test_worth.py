@@ -75,7 +75,7 @@ def test_of_sharp_and_different_photographs_none_is_left_out() -> None:
     sharpness = relative_sharpness(scene, views)
     assert ((sharpness > 0.9) & (sharpness < 1.1)).all(), sharpness
     worth = images_worth(scene, views)
-    assert worth.kept.all() and [decision.topic for decision in worth.decisions] == ["repeated photographs", "blurred photographs"]
+    assert worth.keep_mask.all() and [decision.topic for decision in worth.decisions] == ["repeated photographs", "blurred photographs"]
     assert worth.decisions[1].figure == pytest.approx(100 * sharpness.min())
     assert worth_training(scene, views, AUTO)[:2] == (scene, views)
 
@@ -94,7 +94,7 @@ def test_a_streaked_photograph_is_found_and_left_out_with_its_figure() -> None:
 def test_a_darker_photograph_or_one_of_a_lawn_is_not_taken_for_blurred() -> None:
     scene, views = flat_scene()
     darker = with_image(views, 2, views.images[2] * 0.8)
-    assert images_worth(scene, darker).kept.all()
+    assert images_worth(scene, darker).keep_mask.all()
     # The east of the ground is a lawn: photographs of it are smooth, and so is what the others show
     # there.
     smooth = TEXTURE.copy()
@@ -103,7 +103,7 @@ def test_a_darker_photograph_or_one_of_a_lawn_is_not_taken_for_blurred() -> None
         patched.setitem(globals(), "TEXTURE", smooth)
         scene, views = flat_scene()
     assert views.images[5][:, 60:].std() < 0.5 * views.images[0][:, :36].std()
-    assert images_worth(scene, views).kept.all()
+    assert images_worth(scene, views).keep_mask.all()
 
 
 def test_points_found_in_two_photographs_alone_do_not_keep_a_blurred_one() -> None:
@@ -114,7 +114,7 @@ def test_points_found_in_two_photographs_alone_do_not_keep_a_blurred_one() -> No
     assert 0.3 < (counts == 2).mean() < 0.6
     # In the middle, where all see the ground; a corner is seen by few.
     blurred = with_image(views, 2, streaked(views.images[2], 9))
-    assert images_worth(mixed, blurred).kept.tolist() == [True, True, False, True, True, True]
+    assert images_worth(mixed, blurred).keep_mask.tolist() == [True, True, False, True, True, True]
 
 
 def test_a_blurred_photograph_that_alone_shows_a_place_stays() -> None:
@@ -126,12 +126,12 @@ def test_a_blurred_photograph_that_alone_shows_a_place_stays() -> None:
     lonely = replace(lonely, observations=everything[lonely.observed_pixels(far)[0]])
     blurred = with_image(views, 3, streaked(views.images[3], 9))
     assert relative_sharpness(lonely, blurred)[3] < SHARPNESS
-    assert images_worth(lonely, blurred).kept.all()
+    assert images_worth(lonely, blurred).keep_mask.all()
 
 
 def test_where_all_are_blurred_alike_none_is() -> None:
     scene, views = flat_scene()
-    assert images_worth(scene, replace(views, images=tuple(streaked(image, 9) for image in views.images))).kept.all()
+    assert images_worth(scene, replace(views, images=tuple(streaked(image, 9) for image in views.images))).keep_mask.all()
 
 
 def doubled(noise: float) -> tuple[SfmScene, TrainingViews]:
@@ -198,7 +198,7 @@ def degenerate(kind: str) -> tuple[SfmScene, TrainingViews]:
 @pytest.mark.parametrize("kind", ["one image", "all black", "no observations", "no points", "one pixel", "behind and beside", "one place"])
 def test_degenerate_input_gives_finite_figures_and_drops_nothing(kind: str) -> None:
     worth: Worth = images_worth(*degenerate(kind))
-    assert worth.kept.all()
+    assert worth.keep_mask.all()
     for decision in worth.decisions:
         assert decision.figure is not None and np.isfinite(decision.figure)
 
@@ -210,8 +210,8 @@ def test_what_is_masked_says_nothing_of_sharpness() -> None:
     smeared = views.images[2].copy()
     smeared[:, 32:] = 128
     hidden = replace(with_image(views, 2, smeared), weights=(half,) * len(views))
-    assert images_worth(scene, hidden).kept.all()
-    assert not images_worth(scene, replace(hidden, weights=None)).kept.all()
+    assert images_worth(scene, hidden).keep_mask.all()
+    assert not images_worth(scene, replace(hidden, weights=None)).keep_mask.all()
 
 
 def test_none_leaves_everything_and_the_plain_presets_skip_nothing() -> None:

@@ -17,7 +17,7 @@ MODEL_NUMBERS = {model: number for number, model in enumerate(PARAM_COUNTS)}
 _MIN_CAMERA_BYTES = 24 + 8 * min(PARAM_COUNTS.values())
 POINT2D = np.dtype([("xy", "<f8", 2), ("point3d_id", "<i8")])
 POINT3D = np.dtype([("id", "<u8"), ("xyz", "<f8", 3), ("color", "u1", 3), ("error_px", "<f8"), ("num_seen", "<u8")])
-SEEN = np.dtype([("image_id", "<u4"), ("index", "<u4")])
+TRACK_ENTRY = np.dtype([("image_id", "<u4"), ("index", "<u4")])
 
 
 @dataclass
@@ -35,18 +35,18 @@ class _Cursor:
         self.offset += struct.calcsize(layout)
         return values
 
-    def count(self, min_record_bytes: int, what: str) -> int:
+    def count(self, min_record_bytes: int, noun: str) -> int:
         """A 64-bit count of records that each need at least `min_record_bytes`."""
         (count,) = self.take("<Q")
-        self.require(count * min_record_bytes, f"{count} {what}")
+        self.require(count * min_record_bytes, f"{count} {noun}")
         return count
 
-    def require(self, num_bytes: int, what: str) -> None:
+    def require(self, num_bytes: int, noun: str) -> None:
         """Raise BadInput unless `num_bytes` are left."""
-        left = len(self.data) - self.offset
-        if num_bytes > left:
+        num_left = len(self.data) - self.offset
+        if num_bytes > num_left:
             raise BadInput(
-                f"{self.path} at byte {self.offset}: {what} need {num_bytes} bytes, {left} are left: the file is cut or damaged."
+                f"{self.path} at byte {self.offset}: {noun} need {num_bytes} bytes, {num_left} are left: the file is cut or damaged."
             )
 
     def require_end(self) -> None:
@@ -117,12 +117,12 @@ def parse_points(data: bytes, path: str) -> ColmapPoints:
     for index in range(count):
         starts[index] = cursor.offset
         cursor.offset += POINT3D.itemsize - 8
-        num_seen[index] = length = cursor.count(SEEN.itemsize, "track entries")
-        cursor.offset += length * SEEN.itemsize
+        num_seen[index] = length = cursor.count(TRACK_ENTRY.itemsize, "track entries")
+        cursor.offset += length * TRACK_ENTRY.itemsize
     cursor.require_end()
     rows = _gather(data, starts, POINT3D)
     entry = np.arange(num_seen.sum()) - np.repeat(np.cumsum(num_seen) - num_seen, num_seen)
-    seen = _gather(data, np.repeat(starts + POINT3D.itemsize, num_seen) + entry * SEEN.itemsize, SEEN)
+    entries = _gather(data, np.repeat(starts + POINT3D.itemsize, num_seen) + entry * TRACK_ENTRY.itemsize, TRACK_ENTRY)
     if count and rows["id"].max() > np.iinfo(np.int64).max:
         raise BadInput(f"{path}: a point id exceeds 2^63: export the model again.")
     return ColmapPoints(
@@ -130,7 +130,7 @@ def parse_points(data: bytes, path: str) -> ColmapPoints:
         xyz=rows["xyz"].astype(np.float64),
         colors=rows["color"].copy(),
         errors_px=rows["error_px"].astype(np.float64),
-        tracks=np.stack([np.repeat(np.arange(count), num_seen), seen["image_id"], seen["index"]], axis=1).astype(np.int64),
+        tracks=np.stack([np.repeat(np.arange(count), num_seen), entries["image_id"], entries["index"]], axis=1).astype(np.int64),
     )
 
 

@@ -71,8 +71,8 @@ def match_images(names: Sequence[str], folder: Path) -> ImageFiles:
     files = {name: name for name in names if _is_plain(name) and (folder / name).is_file()}
     lost = [name for name in names if name not in files]
     if lost and folder.is_dir():
-        taken = set(files.values())
-        free = [path for path in photograph_names(folder) if path not in taken and is_image_name(path)]
+        matched_paths = set(files.values())
+        free = [path for path in photograph_names(folder) if path not in matched_paths and is_image_name(path)]
         files |= _match(lost, free)
     return ImageFiles(files={name: files[name] for name in names if name in files}, folder=folder, num_names=len(names))
 
@@ -84,14 +84,14 @@ def require_files(images: ImageFiles, names: Sequence[str]) -> None:
         return
     used = set(images.files.values())
     there = photograph_names(images.folder)
-    other = next((path for path in there if path not in used), None)
-    beside = (
-        f"which holds {len(there)} photographs" + ("" if other is None else f", such as {other!r}")
+    unused = next((path for path in there if path not in used), None)
+    content = (
+        f"which holds {len(there)} photographs" + ("" if unused is None else f", such as {unused!r}")
         if there
         else "which holds no photograph"
     )
     raise BadInput(
-        f"image {lost[0]!r} of the model is not in {images.folder} ({len(lost)} of {len(names)} in all), {beside}: give the folder of the "
+        f"image {lost[0]!r} of the model is not in {images.folder} ({len(lost)} of {len(names)} in all), {content}: give the folder of the "
         "model's images, or make the names alike."
     )
 
@@ -119,22 +119,22 @@ def _match(names: Collection[str], paths: Collection[str]) -> dict[str, str]:
     spellings: tuple[Callable[[Parts], Parts], ...] = (_as_written, _without_case, _without_ending)
     matched: dict[str, str] = {}
     for spell in spellings:
-        taken = set(matched.values())
+        matched_paths = set(matched.values())
         by_last: dict[str, list[tuple[Parts, str]]] = defaultdict(list)
         for path in paths:
-            if path not in taken:
+            if path not in matched_paths:
                 by_last[(parts := spell(PurePosixPath(path).parts))[-1]].append((parts, path))
         tried = {name: spell(parts) for name in names if name not in matched and (parts := _parts(name))}
         ends = {name: _alike(parts, by_last[parts[-1]]) for name, parts in tried.items()}
-        num_claims = Counter(path for found in ends.values() for path in found)
-        matched |= {name: found[0] for name, found in ends.items() if len(found) == 1 and num_claims[found[0]] == 1}
+        num_claims = Counter(path for fits in ends.values() for path in fits)
+        matched |= {name: fits[0] for name, fits in ends.items() if len(fits) == 1 and num_claims[fits[0]] == 1}
     return matched
 
 
 def _alike(parts: Parts, candidates: Sequence[tuple[Parts, str]]) -> list[str]:
     """The candidates that are these parts, or else those of which one ends like the other."""
-    equal = [path for other, path in candidates if other == parts]
-    return equal or [path for other, path in candidates if parts[-len(other) :] == other[-len(parts) :]]
+    equal = [path for ending, path in candidates if ending == parts]
+    return equal or [path for ending, path in candidates if parts[-len(ending) :] == ending[-len(parts) :]]
 
 
 def _parts(name: str) -> Parts:

@@ -151,11 +151,11 @@ def check_model(cameras: list[ColmapCamera], images: list[ColmapImage], points: 
     return ColmapModel(cameras=by_id, images=tuple(sorted(images, key=lambda image: image.name)), points=points)
 
 
-def _require_unique(what: str, values: list, source: str) -> None:
+def _require_unique(noun: str, values: list, source: str) -> None:
     if len(set(values)) != len(values):
-        seen: set = set()
-        twice = next(value for value in values if value in seen or seen.add(value))
-        raise BadInput(f"{source}: {what} {twice!r} comes twice: export the model again.")
+        passed: set = set()
+        twice = next(value for value in values if value in passed or passed.add(value))
+        raise BadInput(f"{source}: {noun} {twice!r} comes twice: export the model again.")
 
 
 def is_image_name(name: str) -> bool:

@@ -44,23 +44,28 @@ class ChosenFrames:
         return sum(map(len, self.frames.values()))
 
 
-def choose_frames(watched: Mapping[str, Sequence[WatchedFrame]], asked: int | None = None) -> ChosenFrames:
-    """The frames of films to take, about `asked` of them in all if given."""
+def choose_frames(watched: Mapping[str, Sequence[WatchedFrame]], num_frames: int | None = None) -> ChosenFrames:
+    """The frames of films to take, about `num_frames` of them in all if given."""
     total = sum(frame.motion for frames in watched.values() for frame in frames)
     num_watched = sum(map(len, watched.values()))
-    wanted, reason = _wanted(total, num_watched, asked)
+    wanted, reason = _wanted(total, num_watched, num_frames)
     step = total / wanted
     if step < LEAST_STEP:
         step, reason = LEAST_STEP, f"{reason}, and frames less than a hundredth of the picture apart show the same"
-    taken, num_blurred, num_blurred_taken = {}, 0, 0
+    frames_by_film, num_blurred, num_blurred_taken = {}, 0, 0
     for name, frames in watched.items():
         blurred = blurred_frames(frames)
         chosen = _sharpest_of_stretches(frames, blurred, step)
-        taken[name] = tuple(frames[index] for index in chosen)
+        frames_by_film[name] = tuple(frames[index] for index in chosen)
         num_blurred += int(blurred.sum())
         num_blurred_taken += int(blurred[chosen].sum())
     return ChosenFrames(
-        frames=taken, step=step, reason=reason, num_watched=num_watched, num_blurred=num_blurred, num_blurred_taken=num_blurred_taken
+        frames=frames_by_film,
+        step=step,
+        reason=reason,
+        num_watched=num_watched,
+        num_blurred=num_blurred,
+        num_blurred_taken=num_blurred_taken,
     )
 
 
@@ -72,9 +77,9 @@ def blurred_frames(frames: Sequence[WatchedFrame]) -> NDArray[np.bool_]:
     return sharpness < BLURRED * around
 
 
-def _wanted(total_motion: float, num_watched: int, asked: int | None) -> tuple[int, str]:
-    if asked is not None:
-        return max(1, min(asked, num_watched)), f"--film-frames is {asked}"
+def _wanted(total_motion: float, num_watched: int, num_frames: int | None) -> tuple[int, str]:
+    if num_frames is not None:
+        return max(1, min(num_frames, num_watched)), f"--film-frames is {num_frames}"
     by_motion = max(1, round(total_motion / STEP))
     if by_motion > MOST_FRAMES:
         return MOST_FRAMES, f"a tenth of the picture would take {by_motion:,} frames, and {MOST_FRAMES} are the most without --film-frames"

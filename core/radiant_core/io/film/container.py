@@ -95,11 +95,11 @@ def _begun(box: Box) -> Position | None:
         text = box.data[4:]
     elif box.path[-1] == b"meta" and APPLE_KEY in box.data:
         text = box.data[box.data.rfind(b"ilst") :]
-    found = _ISO6709.search(text)
-    if found is None:
+    match = _ISO6709.search(text)
+    if match is None:
         return None
-    lat, lon = (_degrees(found[1], 2), _degrees(found[2], 3))
-    return on_globe(lat, lon, float(found[3]) if found[3] else math.nan)
+    lat, lon = (_degrees(match[1], 2), _degrees(match[2], 3))
+    return on_globe(lat, lon, float(match[3]) if match[3] else math.nan)
 
 
 def _degrees(text: bytes, whole: int) -> float:
@@ -136,9 +136,9 @@ def _track(file: BinaryIO, tables: dict[bytes, bytes]) -> FilmTrack:
     rows: list[Position] = []
     for (offset, size), begin, end in zip(places, begins, begins[1:], strict=False):
         file.seek(offset)
-        found = _positions(file.read(min(size, MAX_SAMPLE_BYTES)))
-        for number, position in enumerate(found):
-            time_s = (begin + (end - begin) * number / len(found)) / max(1, ticks_per_s)
+        positions = _positions(file.read(min(size, MAX_SAMPLE_BYTES)))
+        for number, position in enumerate(positions):
+            time_s = (begin + (end - begin) * number / len(positions)) / max(1, ticks_per_s)
             if not times or time_s > times[-1]:
                 times.append(time_s)
                 rows.append(position)
@@ -181,7 +181,7 @@ def _sample_places(tables: dict[bytes, bytes]) -> list[tuple[int, int]]:
 def _positions(sample: bytes) -> list[Position]:
     """The positions of one of GoPro's samples that have a fix."""
     scale: tuple[int, ...] = ()
-    fix, found = 3, list[Position]()
+    fix, positions = 3, list[Position]()
     for key, kind, size, values in _entries(sample, 0):
         if key == b"GPSF" and len(values) >= 4:
             (fix,) = struct.unpack_from(">I", values)
@@ -194,8 +194,8 @@ def _positions(sample: bytes) -> list[Position]:
                 has_fix = struct.unpack_from(">H", values, at + 30)[0] if key == b"GPS9" and size >= 32 else fix
                 position = on_globe(lat, lon, alt) if has_fix >= 2 else None
                 if position is not None:
-                    found.append(position)
-    return found
+                    positions.append(position)
+    return positions
 
 
 def _entries(data: bytes, depth: int) -> Iterator[tuple[bytes, bytes, int, bytes]]:

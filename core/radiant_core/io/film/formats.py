@@ -16,5 +16,5 @@ def films_in(source: Path) -> tuple[Path, ...]:
 
 def srt_beside(film: Path) -> Path | None:
     """The subtitles of a film: the file of its name that ends in .srt, in any letter case."""
-    beside = sorted(path for path in film.parent.iterdir() if path.stem == film.stem and path.suffix.lower() == ".srt")
-    return beside[0] if beside else None
+    subtitles = sorted(path for path in film.parent.iterdir() if path.stem == film.stem and path.suffix.lower() == ".srt")
+    return subtitles[0] if subtitles else None

@@ -48,22 +48,22 @@ class FilmFrames:
     warnings: tuple[str, ...]
 
 
-def take_frames(films: Sequence[Path], folder: Path, asked: int | None, report: Report) -> FilmFrames:
-    """Write the sharp frames of films into `folder`, about `asked` of them if given.
+def take_frames(films: Sequence[Path], folder: Path, num_frames: int | None, report: Report) -> FilmFrames:
+    """Write the sharp frames of films into `folder`, about `num_frames` of them if given.
 
     Raises BadInput for a film that cannot be decoded, two of one name, or films that hardly move.
     """
     names = {film: film.stem for film in films}
     if len({name.casefold() for name in names.values()}) < len(films):
         raise BadInput(f"two films in {films[0].parent} have one name ({in_short(sorted(names.values()))}): rename one.")
-    key = content_key(FORM, asked, [[film.name, film.stat().st_size, film.stat().st_mtime_ns] for film in films])
+    key = content_key(FORM, num_frames, [[film.name, film.stat().st_size, film.stat().st_mtime_ns] for film in films])
     record = _record(folder, key)
     if record is None:
         shutil.rmtree(folder, ignore_errors=True)
         watched = {
             names[film]: watch_film(film, _of_film(report, "watching films", number, len(films))) for number, film in enumerate(films)
         }
-        chosen = choose_frames(watched, asked)
+        chosen = choose_frames(watched, num_frames)
         if chosen.num_taken < LEAST_FRAMES:
             raise BadInput(
                 f"{films[0].name} moves by {100 * chosen.step * chosen.num_taken:.0f} % of its picture in all, which makes "
@@ -75,18 +75,18 @@ def take_frames(films: Sequence[Path], folder: Path, asked: int | None, report: 
     tracks = {film: _track_of(film) for film in films}
     for number, film in enumerate(films):
         _write_frames(film, folder, record["frames"][names[film]], tracks[film], _of_film(report, "taking frames", number, len(films)))
-    decision = Decision(stage="sfm", topic="frames of films", **record["decision"], forced=asked is not None)
+    decision = Decision(stage="sfm", topic="frames of films", **record["decision"], forced=num_frames is not None)
     placed = sum(track is not None and len(track.times_s) > 0 for track in tracks.values())
-    said = f"{in_short([film.name for film in films])}: {decision.choice}; {placed} of {len(films)} films have positions."
-    return FilmFrames(folder=folder, decision=decision, warnings=(said, *_warnings(films, tracks)))
+    summary = f"{in_short([film.name for film in films])}: {decision.choice}; {placed} of {len(films)} films have positions."
+    return FilmFrames(folder=folder, decision=decision, warnings=(summary, *_warnings(films, tracks)))
 
 
 def _track_of(film: Path) -> FilmTrack | None:
     """The positions of a film; None where nothing beside it or in it has any. Of a place where it
     began that place, for its first second."""
-    beside = srt_beside(film)
-    if beside is not None:
-        return read_track(beside)
+    subtitles = srt_beside(film)
+    if subtitles is not None:
+        return read_track(subtitles)
     track, begun = read_container(film)
     if len(track.times_s) or begun is None:
         return track if len(track.times_s) else None
@@ -145,18 +145,18 @@ def _write_frames(
             report(index + 1, max(missing) + 1)
 
 
-def _of_film(report: Report, what: FilmPhase, number: int, count: int) -> Callable[[int, int], None]:
+def _of_film(report: Report, phase: FilmPhase, number: int, count: int) -> Callable[[int, int], None]:
     """Progress within one of several films, in hundredths of a film."""
-    return lambda done, total: report(what, 100 * number + 100 * done // max(1, total), 100 * count)
+    return lambda num_done, total: report(phase, 100 * number + 100 * num_done // max(1, total), 100 * count)
 
 
 def _warnings(films: Sequence[Path], tracks: Mapping[Path, FilmTrack | None]) -> tuple[str, ...]:
     empty = [film.name for film in films if (track := tracks[film]) is not None and not len(track.times_s)]
     placed = [track for film in films if (track := tracks[film]) is not None and len(track.times_s)]
-    said = [f"the subtitles of {in_short(empty)} hold no position that is understood: the film has no GPS."] if empty else []
+    notes = [f"the subtitles of {in_short(empty)} hold no position that is understood: the film has no GPS."] if empty else []
     if any(np.isfinite(track.lat_lon_alt[:, 2]).any() for track in placed):
-        said.append("heights that are written for a film may be off by tens of metres: name no vertical datum in --crs.")
+        notes.append("heights that are written for a film may be off by tens of metres: name no vertical datum in --crs.")
     single = [film.name for film in films if (track := tracks[film]) is not None and len(track.times_s) == 1]
     if single:
-        said.append(f"{in_short(single)} say where they began alone: one place a film, which gives no scale (--distance or --height do).")
-    return tuple(said)
+        notes.append(f"{in_short(single)} say where they began alone: one place a film, which gives no scale (--distance or --height do).")
+    return tuple(notes)

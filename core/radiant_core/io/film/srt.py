@@ -58,7 +58,7 @@ def read_track(path: Path) -> FilmTrack:
     times, places = [], list[Position]()
     for mark, following in zip(marks, [*marks[1:], None], strict=True):
         position = _position(text[mark.end() : following.start() if following else len(text)])
-        if position is None or (places and _same(position, places[-1])):
+        if position is None or (places and _is_same_position(position, places[-1])):
             continue
         hours, minutes, seconds, fraction = mark.groups()
         time_s = 3600 * int(hours) + 60 * int(minutes) + int(seconds) + float(f"0.{fraction or 0}")
@@ -81,5 +81,5 @@ def _position(block: str) -> Position | None:
     return on_globe(lat, lon, math.nan)
 
 
-def _same(one: Position, other: Position) -> bool:
-    return all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in zip(one, other, strict=True))
+def _is_same_position(first: Position, second: Position) -> bool:
+    return all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in zip(first, second, strict=True))

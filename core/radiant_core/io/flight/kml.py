@@ -17,7 +17,7 @@ def kml_route(route: Route) -> bytes:
     of their own. Absolute heights are those above sea level; BadInput where these are not known."""
     is_absolute = np.isin(route.height_codes, [HEIGHT_KINDS.index(kind) for kind in FROM_THE_SEA])
     heights_m = np.where(is_absolute, route.heights_above("sea"), route.heights_m) if is_absolute.any() else route.heights_m
-    said = f"{route.said}; {NO_TAKE_OFF}" if "takeoff" in route.kinds else route.said
+    note = f"{route.heights_text}; {NO_TAKE_OFF}" if "takeoff" in route.kinds else route.heights_text
     points = [
         f"<Placemark><name>{escape(name)}</name><Point><altitudeMode>{'absolute' if absolute else 'relativeToGround'}</altitudeMode>"
         f"<coordinates>{lon:.9f},{lat:.9f},{height:.3f}</coordinates></Point></Placemark>"
@@ -28,7 +28,7 @@ def kml_route(route: Route) -> bytes:
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         '<kml xmlns="http://www.opengis.net/kml/2.2">',
-        f"<Document><name>{escape(route.name)}</name><description>{escape(said)}</description>",
+        f"<Document><name>{escape(route.name)}</name><description>{escape(note)}</description>",
         *points,
         "</Document>",
         "</kml>",

@@ -63,10 +63,10 @@ class Route:
         return kinds_among(self.height_codes)
 
     @property
-    def said(self) -> str:
+    def heights_text(self) -> str:
         """What heights count from, for the files."""
-        said = "heights are " + " or ".join(ABOVE[kind] for kind in self.kinds or ("takeoff",))
-        return f"{said}, {LEVEL_GROUND}" if self.level_ground else said
+        text = "heights are " + " or ".join(ABOVE[kind] for kind in self.kinds or ("takeoff",))
+        return f"{text}, {LEVEL_GROUND}" if self.level_ground else text
 
     def heights_above(self, level: HeightFrom) -> FloatArray:
         """Heights (P,), all absolute ones from the sea or from the ellipsoid; BadInput where the

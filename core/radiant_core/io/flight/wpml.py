@@ -119,7 +119,7 @@ def _template(route: Route, heights: _Heights) -> str:
     system = _tag("waylineCoordinateSysParam", _tag("coordinateMode", "WGS84") + _tag("heightMode", heights.edit_mode))
     head = [
         _tag("author", "radiant"),
-        f"<!-- {escape(route.said)} -->",
+        f"<!-- {escape(route.heights_text)} -->",
         _config(),
         "<Folder>",
         _tag("templateType", "waypoint") + _tag("templateId", 0) + system + _tag("autoFlightSpeed", f"{route.speed_m_per_s:g}"),
@@ -141,7 +141,7 @@ def _waylines(route: Route, heights: _Heights) -> str:
         level = np.column_stack([route.lat_lon, route.heights_m])
         length_m = float(np.linalg.norm(np.diff(enu_from_geodetic(level, level[0]), axis=0), axis=1).sum())
     head = [
-        f"<!-- {escape(route.said)} -->",
+        f"<!-- {escape(route.heights_text)} -->",
         _config(),
         "<Folder>",
         _tag("templateId", 0) + _tag("executeHeightMode", heights.execute_mode) + _tag("waylineId", 0),

@@ -83,9 +83,9 @@ def cut_panoramas(photo_folder: Path, names: Sequence[str], folder: Path, on_don
         folder.mkdir(parents=True)
         write_json(folder / RIG_CONFIG, rig_config(rig, size_px))
         write_json(folder / RECORD, {"key": key})
-    for done, name in enumerate(names, 1):
+    for num_done, name in enumerate(names, 1):
         _cut(photo_folder / name, name, folder, size_px, rig)
-        on_done(done, len(names))
+        on_done(num_done, len(names))
     return CutFaces(folder=folder, size_px=size_px, rig=rig)
 
 
@@ -97,9 +97,9 @@ def cut_masks(masks: Mapping[str, Path], sizes_wh: Mapping[str, tuple[int, int]]
         used = load_mask(path, sizes_wh[name]).astype(np.uint8)
         for face in faces.rig.faces:
             columns, rows = _sources(face, faces.size_px, faces.rig, sizes_wh[name])
-            shown = cv2.remap(_framed(used), columns, rows, cv2.INTER_NEAREST) > 0
-            shown[0, 0] |= not shown.any()
-            save_mask(folder / mask_name(face_name(face.folder, name)), shown)
+            is_used = cv2.remap(_framed(used), columns, rows, cv2.INTER_NEAREST) > 0
+            is_used[0, 0] |= not is_used.any()
+            save_mask(folder / mask_name(face_name(face.folder, name)), is_used)
 
 
 def face_name(face_folder: str, name: str) -> str:
@@ -120,11 +120,11 @@ def rig_config(rig: FaceRig, size_px: int) -> list[dict[str, Any]]:
 
 
 def _require_names(names: Sequence[str]) -> None:
-    taken: dict[str, str] = {}
+    panorama_of_face: dict[str, str] = {}
     for name in names:
-        other = taken.setdefault(face_name("", name).casefold(), name)
-        if other != name:
-            raise BadInput(f"the panoramas {other} and {name} would have faces of one name: rename one.")
+        panorama = panorama_of_face.setdefault(face_name("", name).casefold(), name)
+        if panorama != name:
+            raise BadInput(f"the panoramas {panorama} and {name} would have faces of one name: rename one.")
 
 
 def _is_record(folder: Path, key: str) -> bool:

@@ -28,36 +28,36 @@ class FoundPanoramas:
     warnings: tuple[str, ...] = ()
 
 
-def find_panoramas(photo_folder: Path, names: Sequence[str], asked: Panoramas | None) -> FoundPanoramas:
-    """The panoramas among the photographs `names`: those that say so, or as `asked`, all or none.
+def find_panoramas(photo_folder: Path, names: Sequence[str], choice: Panoramas | None) -> FoundPanoramas:
+    """The panoramas among the photographs `names`: those that say so, or as `choice`, all or none.
 
     Raises BadInput where one shows a part of the sphere, is not twice as wide as high, or lies
     among photographs that are none.
     """
-    if asked == "none" or not names:
+    if choice == "none" or not names:
         return FoundPanoramas()
-    shown = {name: _sphere_of(photo_folder / name) for name in names}
-    said = tuple(name for name in names if asked == "all" or shown[name])
-    if not said:
+    spheres = {name: _sphere_of(photo_folder / name) for name in names}
+    chosen = tuple(name for name in names if choice == "all" or spheres[name])
+    if not chosen:
         return FoundPanoramas(warnings=_may_be(photo_folder, names))
-    if len(said) < len(names):
+    if len(chosen) < len(names):
         raise BadInput(
-            f"{len(said)} of {len(names)} photographs in {photo_folder} are panoramas ({in_short(said)}), which become faces, and the "
+            f"{len(chosen)} of {len(names)} photographs in {photo_folder} are panoramas ({in_short(chosen)}), which become faces, and the "
             "others are not: give them in two folders, or take all for plain photographs by --panoramas none."
         )
-    parts = [name for name in said if shown[name] == "part"]
+    parts = [name for name in chosen if spheres[name] == "part"]
     if parts:
         raise BadInput(
             f"{in_short(parts)} in {photo_folder} show a part of the sphere (GPano:CroppedArea…), which is not read here: stitch whole "
             "panoramas, or leave these out."
         )
-    odd = [name for name in said if not _is_twice_as_wide(photo_folder / name)]
+    odd = [name for name in chosen if not _is_twice_as_wide(photo_folder / name)]
     if odd:
         raise BadInput(
             f"{in_short(odd)} in {photo_folder} are not twice as wide as high, as a whole equirectangular panorama is: stitch them so, or "
             "take all for plain photographs by --panoramas none."
         )
-    return FoundPanoramas(names=said)
+    return FoundPanoramas(names=chosen)
 
 
 def _may_be(photo_folder: Path, names: Sequence[str]) -> tuple[str, ...]:

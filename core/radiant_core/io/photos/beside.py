@@ -70,15 +70,15 @@ def beside_warning(
     is not used; `masks`, files `used` and a list with the text `control` are. Kinds alone where
     names are private."""
     places = (folder, folder.parent) if folder.name == "images" else (folder,)
-    there = [each for place in places for each in _projects_in(place, masks, control, used, above=place != folder)]
+    there = [entry for place in places for entry in _projects_in(place, masks, control, used, above=place != folder)]
     if len(places) > 1:
         there += [
             (f"{count} {suffix}", "films or pictures that are not read") for suffix, count in sorted(unread_in(folder.parent).items())
         ]
     if not there:
         return ()
-    told = [f"{name} ({kind})" for name, kind in there] if named else sorted({kind for _, kind in there})
-    return (f"{OPENING} {in_short(told)}: they are not used.",)
+    names_or_kinds = [f"{name} ({kind})" for name, kind in there] if named else sorted({kind for _, kind in there})
+    return (f"{OPENING} {in_short(names_or_kinds)}: they are not used.",)
 
 
 def unread_in(folder: Path) -> dict[str, int]:
@@ -90,7 +90,7 @@ def unread_in(folder: Path) -> dict[str, int]:
 
 def _projects_in(folder: Path, masks: Path | None, control: str | None, used: frozenset[Path], *, above: bool) -> list[tuple[str, str]]:
     """Name and kind of each thing; `above`: photographs too, which only the folder below gives."""
-    told: list[tuple[str, str]] = []
+    leftovers: list[tuple[str, str]] = []
     suffixes: Counter[str] = Counter()
     try:
         entries = sorted(folder.iterdir())
@@ -102,16 +102,19 @@ def _projects_in(folder: Path, masks: Path | None, control: str | None, used: fr
         if path.is_dir():
             is_used_mask = path.resolve() == used_masks or (used_masks is not None and name in MASK_FOLDERS)
             is_used = is_used_mask or any(path in file.parents for file in used)
-            told += [] if is_used else _folder_kind(path, above=above)
+            leftovers += [] if is_used else _folder_kind(path, above=above)
         elif path in used or (control is not None and name == CONTROL_LIST and _has_text(path, control)):
             continue
         elif kind := _kind_of_file(name):
-            told.append((path.name, kind))
+            leftovers.append((path.name, kind))
         elif suffix in _PROJECT_SUFFIXES or (above and suffix in SUFFIXES):
             suffixes[suffix] += 1
         elif suffix == ".xml" and (kind := _xml_kind(path)):
-            told.append((path.name, kind))
-    return [*told, *((f"{count} {suffix}", _PROJECT_SUFFIXES.get(suffix, "photographs")) for suffix, count in sorted(suffixes.items()))]
+            leftovers.append((path.name, kind))
+    return [
+        *leftovers,
+        *((f"{count} {suffix}", _PROJECT_SUFFIXES.get(suffix, "photographs")) for suffix, count in sorted(suffixes.items())),
+    ]
 
 
 def _kind_of_file(name: str) -> str:

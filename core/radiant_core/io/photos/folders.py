@@ -24,7 +24,7 @@ FILMS_UNREAD = (".mp4", ".mov", ".avi", ".mts", ".m2ts", ".m4v", ".mkv", ".webm"
 UNREAD_SUFFIXES = frozenset((*PHOTOGRAPHS_UNREAD, *FILMS_UNREAD))
 """Photographs and films that nothing here can read, or that COLMAP cannot."""
 MASK_FOLDERS = ("masks", "mask")
-_MADE = re.compile(
+_PRODUCT_FOLDER = re.compile(
     r"(masks?|sparse|dense|stereo|undistorted|depths?|depth_maps|normals?|thumb(nail)?s?|previews?|opensfm|openmvs|odm_\w+|entwine_pointcloud"
     r"|__macosx|.*\.files)",
     re.IGNORECASE,
@@ -79,7 +79,7 @@ def is_camera_folder(name: str) -> bool:
     return _CAMERA_FOLDER.fullmatch(name) is not None
 
 
-def _walk(folder: Path, inner: str, seen: set[str], closed: dict[str, int]) -> Iterator[tuple[str, list[str]]]:
+def _walk(folder: Path, inner: str, visited: set[str], closed: dict[str, int]) -> Iterator[tuple[str, list[str]]]:
     """Folder below and its files, one after another; counts pictures of those that are not read."""
     try:
         entries = sorted(os.scandir(folder / inner), key=lambda entry: entry.name)
@@ -98,13 +98,13 @@ def _walk(folder: Path, inner: str, seen: set[str], closed: dict[str, int]) -> I
                 closed[below] = number
             continue
         place = os.path.realpath(entry.path)
-        if place not in seen:
-            seen.add(place)
-            yield from _walk(folder, below, seen, closed)
+        if place not in visited:
+            visited.add(place)
+            yield from _walk(folder, below, visited, closed)
 
 
 def _is_made(name: str, path: Path) -> bool:
-    return _MADE.fullmatch(name) is not None or any((path / file).is_file() for file in _RUN_FILES)
+    return _PRODUCT_FOLDER.fullmatch(name) is not None or any((path / file).is_file() for file in _RUN_FILES)
 
 
 def _num_pictures(folder: Path) -> int:
@@ -114,18 +114,18 @@ def _num_pictures(folder: Path) -> int:
 def folders_warning(content: FolderContent, *, named: bool = True) -> tuple[str, ...]:
     """What is said of photographs that lie in several folders, or in folders taken for no
     photographs."""
-    told = []
+    sentences = []
     if set(content.folders) - {"."}:
         counts = [f"{'the folder itself' if name == '.' else name} {count}" for name, count in sorted(content.folders.items())]
         where = f": {in_short(counts)}" if named else ""
         several = f"{len(counts)} folders" if len(counts) > 1 else "a folder below"
-        told.append(f"{len(content.names)} photographs are read from {several}{where}.")
+        sentences.append(f"{len(content.names)} photographs are read from {several}{where}.")
     if content.closed:
         counts = [f"{name}/ {count}" for name, count in sorted(content.closed.items())]
         pictures = sum(content.closed.values())
         where = f" ({in_short(counts)})" if named else ""
-        told.append(f"{pictures} pictures in folders of masks, depths and what programs make of photographs are not read{where}.")
-    return tuple(told)
+        sentences.append(f"{pictures} pictures in folders of masks, depths and what programs make of photographs are not read{where}.")
+    return tuple(sentences)
 
 
 def unread_warning(unread: Mapping[str, int]) -> tuple[str, ...]:

@@ -36,7 +36,7 @@ MAKE, MODEL, EXIF_POINTER, GPS_POINTER = 0x010F, 0x0110, 0x8769, 0x8825
 FOCAL_LENGTH, FOCAL_35MM, DIGITAL_ZOOM = 0x920A, 0xA405, 0xA404
 PIXEL_WIDTH, PIXEL_HEIGHT = 0xA002, 0xA003
 BODY_SERIAL, CAMERA_SERIAL, LENS_MODEL, LENS_SERIAL = 0xA431, 0xC62F, 0xA434, 0xA435
-EXPOSURE_TIME, F_NUMBER, ISO_SPEED, TAKEN, TAKEN_FRACTION = 0x829A, 0x829D, 0x8827, 0x9003, 0x9291
+EXPOSURE_TIME, F_NUMBER, ISO_SPEED, DATE_TIME_ORIGINAL, SUBSEC_TIME_ORIGINAL = 0x829A, 0x829D, 0x8827, 0x9003, 0x9291
 _XMP, _MORE_XMP = b"http://ns.adobe.com/xap/1.0/\0", b"http://ns.adobe.com/xmp/extension/\0"
 _MORE_XMP_HEAD = 40
 """Before each part of a longer packet: its name, its length and where the part belongs."""
@@ -124,22 +124,22 @@ def join_facts(blocks: Sequence[bytes], packets: Sequence[bytes]) -> ExifFacts:
     exif = _first_said([read_exif(block) for block in blocks])
     sigma_m = next((sigma for packet in packets if (sigma := xmp_sigma_m(packet)) is not None), None)
     serial = next((match[1].decode().strip() for packet in packets if (match := _WRITTEN_SERIAL.search(packet))), "")
-    said, written = next(((packet, place) for packet in packets if (place := xmp_position(packet)) is not None), (b"", None))
-    sphere = next((shown for packet in packets if (shown := xmp_sphere(packet))), "")
+    positioning_packet, written = next(((packet, place) for packet in packets if (place := xmp_position(packet)) is not None), (b"", None))
+    sphere = next((part for packet in packets if (part := xmp_sphere(packet))), "")
     exif = replace(exif, position_sigma_m=sigma_m or exif.position_sigma_m, serial=exif.serial or serial, sphere=sphere)
     if written is None:
         return exif
     if exif.lat_lon_alt is None:
-        return replace(exif, lat_lon_alt=written, position_doubt="", altitude_from_sea=xmp_counts_from_sea(said))
+        return replace(exif, lat_lon_alt=written, position_doubt="", altitude_from_sea=xmp_counts_from_sea(positioning_packet))
     compared = _compared(exif, exif.lat_lon_alt, written)
     takes_altitude = compared.lat_lon_alt != exif.lat_lon_alt
-    return replace(compared, altitude_from_sea=xmp_counts_from_sea(said)) if takes_altitude else compared
+    return replace(compared, altitude_from_sea=xmp_counts_from_sea(positioning_packet)) if takes_altitude else compared
 
 
 def _first_said(facts: Sequence[ExifFacts]) -> ExifFacts:
     joined = facts[0] if facts else ExifFacts()
     for more in facts[1:]:
-        unsaid = {each.name for each in fields(ExifFacts) if getattr(joined, each.name) == each.default}
+        unsaid = {field.name for field in fields(ExifFacts) if getattr(joined, field.name) == field.default}
         joined = replace(joined, **{name: getattr(more, name) for name in unsaid})
     return joined
 
@@ -171,8 +171,10 @@ def _apart_m(first: Position, second: Position) -> float:
 
 def kept_segments(data: bytes) -> bytes:
     """EXIF, XMP and colour profile of the JPEG `data` for one made from it; never raises."""
-    kept = [data[start - 4 : end] for marker, start, end in _segments(data) if data[start:end].startswith(_KEPT_SIGNATURES.get(marker, ()))]
-    return b"".join(kept)
+    segments = [
+        data[start - 4 : end] for marker, start, end in _segments(data) if data[start:end].startswith(_KEPT_SIGNATURES.get(marker, ()))
+    ]
+    return b"".join(segments)
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
@@ -238,7 +240,7 @@ def read_exif(tiff: bytes) -> ExifFacts:
         position_doubt=fix.fault or (f"GPS in the datum {fix.datum}" if fix.datum and fix.lat_lon_alt else ""),
         altitude_from_sea=fix.counts_from_sea,
         position_sigma_m=_sigma_of(number(gps.get(GPS_ERROR))),
-        taken_s=_seconds(text(details.get(TAKEN)), text(details.get(TAKEN_FRACTION))),
+        taken_s=_seconds(text(details.get(DATE_TIME_ORIGINAL)), text(details.get(SUBSEC_TIME_ORIGINAL))),
         log2_exposure=_log2_exposure(*(number(details.get(tag)) for tag in (EXPOSURE_TIME, F_NUMBER, ISO_SPEED))),
     )
 
@@ -251,10 +253,10 @@ def _sigma_of(error_m: float | None) -> tuple[float, float, float] | None:
     return (error_m, error_m, VERTICAL_SHARE * error_m) if error_m is not None and 0 < error_m < math.inf else None
 
 
-def _seconds(taken: str, fraction: str) -> float | None:
+def _seconds(date_time: str, fraction: str) -> float | None:
     """Seconds of "2016:06:23 16:31:59" and the digits behind its point; None for anything else."""
     try:
-        moment = datetime.strptime(taken, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
+        moment = datetime.strptime(date_time, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
     except ValueError:
         return None
     digits = fraction if fraction.isascii() and fraction.isdigit() else "0"

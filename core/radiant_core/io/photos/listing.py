@@ -121,19 +121,19 @@ class PhotoListing:
         odd = [photo.name for photo in self.photographs if photo.path.suffix.lower() not in SUFFIXES]
         reason = f"has a name without {', '.join(SUFFIXES)}, under which it cannot be undistorted (rename it, in the model too)"
         skipped = tuple(Skipped(name=name, reason=reason) for name in odd)
-        kept = tuple(photo for photo in self.photographs if photo.name not in odd)
-        return replace(self, photographs=kept, skipped=(*self.skipped, *skipped))
+        photographs = tuple(photo for photo in self.photographs if photo.name not in odd)
+        return replace(self, photographs=photographs, skipped=(*self.skipped, *skipped))
 
     def without_copies(self) -> PhotoListing:
         """The listing without photographs that hold the same bytes as another one. Raises BadInput
         where fewer than two are left."""
         paths = {photo.name: photo.path for photo in self.photographs}
         copies = file_copies(paths)
-        left = tuple(photo for photo in self.photographs if photo.name not in copies)
-        if len(left) < 2:
+        photographs = tuple(photo for photo in self.photographs if photo.name not in copies)
+        if len(photographs) < 2:
             first = next(iter(copies.values()))
             raise BadInput(f"all {len(paths)} photographs are copies of {first}: at least 2 that overlap are needed.")
-        return replace(self, photographs=left, copies=copies)
+        return replace(self, photographs=photographs, copies=copies)
 
 
 def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None = None, names: Sequence[str] | None = None) -> PhotoListing:
@@ -148,20 +148,20 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
         raise _no_photographs(folder, content)
     photographs: list[Photograph] = []
     skipped: list[Skipped] = []
-    for done, found in enumerate(_inspect_all(folder, names), start=1):
-        if isinstance(found, Photograph):
-            photographs.append(found)
+    for num_done, photo in enumerate(_inspect_all(folder, names), start=1):
+        if isinstance(photo, Photograph):
+            photographs.append(photo)
         else:
-            skipped.append(found)
+            skipped.append(photo)
         if on_photo is not None:
-            on_photo(done, len(names))
+            on_photo(num_done, len(names))
     stretches = choose_stretches([photo.samples for photo in photographs if photo.samples is not None])
     dark = [photo.name for photo in photographs if _is_black(photo, stretches)]
     photographs = [photo for photo in photographs if photo.name not in dark]
     skipped += [Skipped(name=name, reason=_BLACK) for name in dark]
     if len(photographs) < 2:
-        told = f" ({len(skipped)} skipped: {'; '.join(skipped_in_short(skipped))})" if skipped else ""
-        raise BadInput(f"{folder} has {len(photographs)} usable photograph(s){told}: at least 2 that overlap are needed.")
+        reasons = f" ({len(skipped)} skipped: {'; '.join(skipped_in_short(skipped))})" if skipped else ""
+        raise BadInput(f"{folder} has {len(photographs)} usable photograph(s){reasons}: at least 2 that overlap are needed.")
     return PhotoListing(photographs=tuple(photographs), skipped=tuple(skipped), content=content, stretches=stretches)
 
 
@@ -176,14 +176,14 @@ def _is_black(photo: Photograph, stretches: tuple[Stretch, ...]) -> bool:
 
 def skipped_in_short(skipped: Sequence[Skipped]) -> tuple[str, ...]:
     """One clause for each reason: the first names, how many more, and the reason."""
-    told = []
-    for reason in dict.fromkeys(each.reason for each in skipped):
-        names = [each.name for each in skipped if each.reason == reason]
+    clauses = []
+    for reason in dict.fromkeys(photo.reason for photo in skipped):
+        names = [photo.name for photo in skipped if photo.reason == reason]
         more = (
             f" and {len(names) - MAX_NAMED} more, each of which" if len(names) > MAX_NAMED else ", each of which" if len(names) > 1 else ""
         )
-        told.append(f"{', '.join(names[:MAX_NAMED])}{more} {reason}")
-    return tuple(told)
+        clauses.append(f"{', '.join(names[:MAX_NAMED])}{more} {reason}")
+    return tuple(clauses)
 
 
 def _read_folder(folder: Path) -> FolderContent:
@@ -195,9 +195,9 @@ def _read_folder(folder: Path) -> FolderContent:
 def _no_photographs(folder: Path, content: FolderContent) -> BadInput:
     """What is said of a folder without photographs that can be read, beside files that cannot."""
     where = SAVED if content.unread else "give the folder that holds the image files"
-    other = f" but {list_kinds(content.unread)} files, which cannot be read" if content.unread else ""
+    unread_note = f" but {list_kinds(content.unread)} files, which cannot be read" if content.unread else ""
     closed = " ".join(("", *folders_warning(content)))
-    return BadInput(f"{folder} contains no photographs ({', '.join(SUFFIXES)}){other}: {where}.{closed}")
+    return BadInput(f"{folder} contains no photographs ({', '.join(SUFFIXES)}){unread_note}: {where}.{closed}")
 
 
 def unread_files(folder: Path) -> dict[str, int]:
@@ -223,22 +223,22 @@ def photograph_heads(folder: Path, on_photo: Callable[[int, int], None] | None =
     if not content.names:
         raise _no_photographs(folder, content)
     heads = {}
-    for done, name in enumerate(content.names, start=1):
+    for num_done, name in enumerate(content.names, start=1):
         heads[name] = read_exif_of(folder / name, MAX_FILE_BYTES)
         if on_photo is not None:
-            on_photo(done, len(content.names))
+            on_photo(num_done, len(content.names))
     return heads
 
 
 def doubts_warning(doubts: Mapping[str, str], num_photographs: int, *, named: bool = True) -> tuple[str, ...]:
     """What is said of positions (photograph → its doubt) that are not used, or not sure; one
     sentence for each kind."""
-    told = []
+    sentences = []
     for doubt in sorted({doubt for doubt in doubts.values() if doubt}):
-        names = [name for name, each in doubts.items() if each == doubt]
+        names = [name for name, found_doubt in doubts.items() if found_doubt == doubt]
         listed = f": {', '.join(names[:MAX_NAMED])}{' …' if len(names) > MAX_NAMED else ''}" if named else ""
-        told.append(f"{len(names)} of {num_photographs} photographs have {doubt}{_consequence(doubt)}{listed}.")
-    return tuple(told)
+        sentences.append(f"{len(names)} of {num_photographs} photographs have {doubt}{_consequence(doubt)}{listed}.")
+    return tuple(sentences)
 
 
 def sea_warning(are_from_sea: Sequence[bool]) -> tuple[str, ...]:

@@ -50,16 +50,16 @@ def find_mask_folder(photo_folder: Path, names: Sequence[str]) -> tuple[Path | N
 
     Raises BadInput where two folders do.
     """
-    fitting, said = [], []
+    fitting, notes = [], []
     for folder in mask_folders(photo_folder):
         matched = match_masks(folder, names)
         if matched.files:
             fitting.append(folder)
         elif matched.unmatched:
-            said.append(f"no picture in {folder.name}/ is named after a photograph ({in_short(matched.unmatched)}): {_expected(names)}.")
+            notes.append(f"no picture in {folder.name}/ is named after a photograph ({in_short(matched.unmatched)}): {_expected(names)}.")
     if len(fitting) > 1:
         raise BadInput(f"{fitting[0]} and {fitting[1]} both hold masks of the photographs: name the one to use with --masks.")
-    return (fitting[0] if fitting else None), tuple(said)
+    return (fitting[0] if fitting else None), tuple(notes)
 
 
 def match_masks(folder: Path, names: Sequence[str]) -> MaskNames:
@@ -69,12 +69,12 @@ def match_masks(folder: Path, names: Sequence[str]) -> MaskNames:
     for path in below:
         by_key.setdefault(path.rpartition(".")[0].casefold(), []).append(path)
     files: dict[str, Path] = {}
-    taken: dict[str, str] = {}
+    photograph_of_mask: dict[str, str] = {}
     for form in FORMS:
         matched: dict[str, str] = {}
         for name in names:
             key = form.format(name=name, stem=_stem(name))
-            paths = [] if name in files else [path for path in by_key.get(key.casefold(), ()) if path not in taken]
+            paths = [] if name in files else [path for path in by_key.get(key.casefold(), ()) if path not in photograph_of_mask]
             if not paths:
                 continue
             path = min(paths, key=lambda path: (path.rpartition(".")[0] != key, path))
@@ -84,7 +84,7 @@ def match_masks(folder: Path, names: Sequence[str]) -> MaskNames:
                 )
             matched[path] = name
         files |= {name: folder / path for path, name in matched.items()}
-        taken |= matched
+        photograph_of_mask |= matched
     listed = _named_by_transforms(folder, set(names) - files.keys())
     files |= listed
     used = {os.path.realpath(path) for path in files.values()}
@@ -98,8 +98,8 @@ def unmatched_warning(matched: MaskNames, folder: Path, names: Sequence[str], *,
         return ()
     where = f" in {folder.name}/" if named else ""
     listed = f" ({in_short(matched.unmatched)})" if named else ""
-    said = f"{len(matched.unmatched)} pictures{where} are named after no photograph and are not used{listed}"
-    return (f"{said}: {_expected(names)}." if named else f"{said}.",)
+    sentence = f"{len(matched.unmatched)} pictures{where} are named after no photograph and are not used{listed}"
+    return (f"{sentence}: {_expected(names)}." if named else f"{sentence}.",)
 
 
 def question_of_colour(folder: Path, used_share: float, num_read: int) -> BadInput:

@@ -122,8 +122,8 @@ def alpha_mask(path: Path) -> NDArray[np.bool_] | None:
 
 
 def _other_size(path: Path, found_wh: tuple[int, int], size_wh: tuple[int, int]) -> str:
-    found, wanted = f"{found_wh[0]} × {found_wh[1]} px", f"{size_wh[0]} × {size_wh[1]} as it is stored"
-    return f"the mask {path} is {found} and its photograph {wanted}: make it as large, without the EXIF rotation."
+    actual, expected = f"{found_wh[0]} × {found_wh[1]} px", f"{size_wh[0]} × {size_wh[1]} as it is stored"
+    return f"the mask {path} is {actual} and its photograph {expected}: make it as large, without the EXIF rotation."
 
 
 def save_mask(path: Path, used: NDArray[np.bool_]) -> None:

@@ -48,13 +48,13 @@ def _sort_profile(profile: bytes, exif: list[bytes], xmp: list[bytes]) -> None:
 
 def _text_of(kind: bytes, content: bytes) -> tuple[bytes, bytes]:
     """Keyword and text of a chunk, unpacked."""
-    keyword, _, rest = content.partition(b"\0")
+    keyword, _, data = content.partition(b"\0")
     if kind == b"tEXt":
-        return keyword, rest[:MAX_TEXT_BYTES]
+        return keyword, data[:MAX_TEXT_BYTES]
     if kind == b"zTXt":
-        return keyword, _unpack(rest[1:])
-    packed, (_, _, rest) = rest[:1] == b"\1", rest[2:].partition(b"\0")
-    written = rest.partition(b"\0")[2]
+        return keyword, _unpack(data[1:])
+    packed, (_, _, data) = data[:1] == b"\1", data[2:].partition(b"\0")
+    written = data.partition(b"\0")[2]
     return keyword, _unpack(written) if packed else written[:MAX_TEXT_BYTES]
 
 

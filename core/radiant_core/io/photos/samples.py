@@ -97,7 +97,7 @@ class Stretch:
         return f"{self.num_photographs} photographs have {kind}, of which they use {self.low:,.6g} to {self.high:,.6g}"
 
     @property
-    def said(self) -> str:
+    def sentence(self) -> str:
         """The stretch in one sentence."""
         return f"{self.unstretched}: these are shown as 0 to 255, by one stretch for all of them."
 
@@ -118,8 +118,8 @@ def sample_kind(data: bytes) -> SampleKind:
 
 
 def _whole(value: Value | None, default: int) -> int:
-    read = number(value)
-    return default if read is None else int(read)
+    parsed = number(value)
+    return default if parsed is None else int(parsed)
 
 
 def range_of(kind: SampleKind, pixels: NDArray[Any]) -> SampleRange | None:
@@ -137,9 +137,9 @@ def choose_stretches(ranges: Sequence[SampleRange]) -> tuple[Stretch, ...]:
     """One stretch for each kind of samples that needs one; none for 16 bits that are used well, and
     values from 0 to 1 of a floating point picture stay what they are."""
     stretches = []
-    for kind in dict.fromkeys((each.kind.bits, each.kind.format) for each in ranges):
-        alike = [each for each in ranges if (each.kind.bits, each.kind.format) == kind]
-        low, high = min(each.low for each in alike), max(each.high for each in alike)
+    for kind in dict.fromkeys((sample_range.kind.bits, sample_range.kind.format) for sample_range in ranges):
+        alike = [sample_range for sample_range in ranges if (sample_range.kind.bits, sample_range.kind.format) == kind]
+        low, high = min(sample_range.low for sample_range in alike), max(sample_range.high for sample_range in alike)
         if kind == (16, _FORMATS[1]) and high - low >= LEAST_SPAN_16:
             continue
         if kind[1] == _FORMATS[3] and low >= 0 and 0.25 <= high <= 1:
@@ -152,8 +152,8 @@ def stretch_of(samples: SampleRange | None, stretches: Sequence[Stretch]) -> Str
     """The stretch for a picture of these samples, if its kind has one."""
     if samples is None:
         return None
-    same = (samples.kind.bits, samples.kind.format)
-    return next((each for each in stretches if (each.kind.bits, each.kind.format) == same), None)
+    kind = (samples.kind.bits, samples.kind.format)
+    return next((stretch for stretch in stretches if (stretch.kind.bits, stretch.kind.format) == kind), None)
 
 
 def stretched(pixels: NDArray[Any], stretch: Stretch) -> NDArray[np.uint8]:

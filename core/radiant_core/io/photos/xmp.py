@@ -47,7 +47,7 @@ def xmp_sphere(packet: bytes) -> Sphere:
     if _PROJECTION.search(packet) is None:
         return ""
     sides = [tuple(_written(packet, name) for name in names) for names in _WHOLE_AND_SHOWN]
-    return "part" if any(whole and shown and shown < whole for whole, shown in sides) else "whole"
+    return "part" if any(whole and visible and visible < whole for whole, visible in sides) else "whole"
 
 
 def _number(packet: bytes, name: bytes) -> float | None:
@@ -57,5 +57,5 @@ def _number(packet: bytes, name: bytes) -> float | None:
 
 def _written(packet: bytes, name: bytes) -> float:
     """A number that is not negative; 0 where there is none."""
-    found = re.search(rb"[\s<:]" + name + rb"\s{0,4}(?:=\s{0,4}[\"']|>)\s{0,4}\+?([0-9]{1,6}(?:\.[0-9]{1,12})?)", packet)
-    return float(found[1]) if found is not None else 0.0
+    match = re.search(rb"[\s<:]" + name + rb"\s{0,4}(?:=\s{0,4}[\"']|>)\s{0,4}\+?([0-9]{1,6}(?:\.[0-9]{1,12})?)", packet)
+    return float(match[1]) if match is not None else 0.0

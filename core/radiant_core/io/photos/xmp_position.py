@@ -23,7 +23,7 @@ _LATITUDE = re.compile(_START + rb"(?:GPSLatitude|GpsLatitude|Latitude)" + _VALU
 _LONGITUDE = re.compile(_START + rb"(?:GPSLongitude|GpsLongitude|GpsLongtitude|Longitude)" + _VALUE)
 _ALTITUDE = re.compile(_START + rb"(?:AbsoluteAltitude|GPSAltitude|GpsAltitude)" + _VALUE)
 _ALTITUDE_REF = re.compile(_START + rb"GPSAltitudeRef" + _VALUE)
-_SHOWN = re.compile(rb"</?[\w-]{1,32}:LocationShown(?:\s[^<>]{0,255}[^/<>])?>")
+_LOCATION_SHOWN = re.compile(rb"</?[\w-]{1,32}:LocationShown(?:\s[^<>]{0,255}[^/<>])?>")
 _DEGREES = re.compile(r"([+-]?\d{1,3}(?:\.\d{1,15})?)(?:,(\d{1,3}(?:\.\d{1,15})?))?(?:,(\d{1,3}(?:\.\d{1,15})?))?\s?([NSEWnsew])?")
 _METRES = re.compile(r"([+-]?\d{1,9}(?:\.\d{1,12})?)(?:/(\d{1,9}))?(?:\s?m)?")
 
@@ -45,7 +45,7 @@ def xmp_counts_from_sea(packet: bytes) -> bool:
 
 def _of_camera(packet: bytes) -> bytes:
     """The packet without places that the photograph shows, each between its two tags."""
-    return b"".join(_SHOWN.split(packet)[::2])
+    return b"".join(_LOCATION_SHOWN.split(packet)[::2])
 
 
 def _text(pattern: re.Pattern[bytes], packet: bytes) -> str:

@@ -51,13 +51,15 @@ def read_bundler(path: Path, size_of: SizeOf) -> PoseFile:
     cameras = [_take(words, 15, path) for _ in range(num_cameras)]
     placed = [number for number, camera in enumerate(cameras) if camera[0] > 0]
     sizes = {number: _size(names[number], size_of, path) for number in placed}
-    points, colors, seen = _points(words, num_points, sizes, path)
+    points, colors, observations = _points(words, num_points, sizes, path)
     lenses: dict[Lens, int] = {}
     views = []
     for number in placed:
         lens = _lens(cameras[number][:3], sizes[number])
         rotation, translation = cameras[number][3:12].reshape(3, 3), cameras[number][12:]
-        view = posed_view(names[number], lenses.setdefault(lens, len(lenses) + 1), FLIP @ rotation, FLIP @ translation, seen.get(number))
+        view = posed_view(
+            names[number], lenses.setdefault(lens, len(lenses) + 1), FLIP @ rotation, FLIP @ translation, observations.get(number)
+        )
         views.append(view)
     unplaced = num_cameras - len(placed)
     return PoseFile(
@@ -77,10 +79,10 @@ def _lens(values: FloatArray, size_wh: tuple[int, int]) -> Lens:
 
 
 def _names(path: Path) -> list[str]:
-    beside = list_of(path)
-    if beside is None:
+    list_path = list_of(path)
+    if list_path is None:
         raise BadInput(f"{path} names no photographs, and there is no list.txt beside it: put the list of its photographs there.")
-    lines = [line.strip() for line in read_text(beside).split("\n") if line.strip()]
+    lines = [line.strip() for line in read_text(list_path).split("\n") if line.strip()]
     return [_name(line) for line in lines]
 
 
@@ -116,18 +118,18 @@ def _points(
                 rows[int(camera)].append((row, x, y))
             elif not 0 <= camera < MAX_CAMERAS:
                 raise BadInput(f"{path}: point {row} is seen by camera {camera:g}: export it again.")
-    seen: dict[int, tuple[FloatArray, NDArray[np.int64]]] = {}
-    for number, each in rows.items():
-        places = np.array([(x, -y) for _, x, y in each]).reshape(-1, 2) + np.array(sizes[number]) / 2
-        seen[number] = places, np.array([row for row, _, _ in each], np.int64)
-    return np.array(xyz).reshape(-1, 3), np.clip(np.array(colors).reshape(-1, 3), 0, 255).astype(np.uint8), seen
+    observations: dict[int, tuple[FloatArray, NDArray[np.int64]]] = {}
+    for number, entries in rows.items():
+        places = np.array([(x, -y) for _, x, y in entries]).reshape(-1, 2) + np.array(sizes[number]) / 2
+        observations[number] = places, np.array([row for row, _, _ in entries], np.int64)
+    return np.array(xyz).reshape(-1, 3), np.clip(np.array(colors).reshape(-1, 3), 0, 255).astype(np.uint8), observations
 
 
 def _take(words: Iterator[str], count: int, path: Path) -> FloatArray:
     """The next numbers of the file."""
-    taken = list(islice(words, count))
+    numbers_text = list(islice(words, count))
     try:
-        values = np.array([float(word) for word in taken])
+        values = np.array([float(word) for word in numbers_text])
     except ValueError as error:
         raise BadInput(f"{path}: {str(error)[:80]}, expected a number: export it again.") from None
     if len(values) != count:

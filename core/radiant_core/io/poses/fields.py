@@ -63,14 +63,14 @@ class Fields:
             return default
         value = self.get(key)
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e15:
-            raise self._other(key, "a number")
+            raise self._mismatch(key, "a number")
         return float(value)
 
     def whole(self, key: str, default: int = _ABSENT) -> int:
         """A whole number from 0 on, written 640 or 640.0."""
         value = self.number(key, default)
         if value != int(value) or not 0 <= value < 2**53:
-            raise self._other(key, "a whole number from 0 on")
+            raise self._mismatch(key, "a whole number from 0 on")
         return int(value)
 
     def text(self, key: str, default: str = _ABSENT) -> str:
@@ -79,7 +79,7 @@ class Fields:
             return default
         value = self.get(key)
         if not isinstance(value, str) or not value.isprintable():
-            raise self._other(key, "a text")
+            raise self._mismatch(key, "a text")
         return value
 
     def numbers(self, key: str, shape: tuple[int | None, ...]) -> FloatArray:
@@ -94,14 +94,14 @@ class Fields:
         """A list of objects."""
         value = self.get(key)
         if not isinstance(value, list):
-            raise self._other(key, "a list")
-        return [Fields(each, f"{self.place}: {key}[{number}]") for number, each in enumerate(value)]
+            raise self._mismatch(key, "a list")
+        return [Fields(item, f"{self.place}: {key}[{number}]") for number, item in enumerate(value)]
 
     def items(self, key: str) -> list[tuple[str, Fields]]:
         """The objects of an object, by their keys."""
-        return [(name, Fields(each, f"{self.place}: {key}[{name!r}]")) for name, each in self.object(key).value.items()]
+        return [(name, Fields(item, f"{self.place}: {key}[{name!r}]")) for name, item in self.object(key).value.items()]
 
-    def _other(self, key: str, expected: str) -> BadInput:
+    def _mismatch(self, key: str, expected: str) -> BadInput:
         return BadInput(f"{self.place}: {key!r} is {_short(self.value[key])}, expected {expected}: export the file again.")
 
 

@@ -174,9 +174,9 @@ def lens_of(camera: ColmapCamera) -> Lens | None:
     terms = _TERMS.get(camera.model)
     if terms is None:
         return None
-    rest = camera.params[camera.num_focals + 2 :]
-    value = dict(zip(terms.split(), rest, strict=False))
-    if any(rest[len(value) :]):
+    coefficients = camera.params[camera.num_focals + 2 :]
+    value = dict(zip(terms.split(), coefficients, strict=False))
+    if any(coefficients[len(value) :]):
         # FULL_OPENCV's denominator.
         return None
     fx, fy, cx, cy = head

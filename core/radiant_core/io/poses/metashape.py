@@ -53,7 +53,7 @@ def read_metashape(path: Path, size_of: SizeOf) -> PoseFile:
     cameras = _aligned(chosen)
     components = [camera.get("component_id", "") for camera in cameras]
     component = max(dict.fromkeys(components), key=components.count)
-    used = [camera for camera, each in zip(cameras, components, strict=True) if each == component]
+    used = [camera for camera, component_id in zip(cameras, components, strict=True) if component_id == component]
     total = len(chosen.findall(".//cameras//camera"))
     notes = []
     if len(chunks) > 1:
@@ -82,11 +82,11 @@ def _aligned(chunk: Element) -> list[Element]:
 def _lenses(chunk: Element, cameras: list[Element], path: Path) -> tuple[dict[int, Lens], dict[str, int]]:
     sensors = {sensor.get("id", ""): sensor for sensor in chunk.findall(".//sensors/sensor")}
     wanted = list(dict.fromkeys(camera.get("sensor_id", "") for camera in cameras))
-    lost = [each for each in wanted if each not in sensors]
+    lost = [sensor_id for sensor_id in wanted if sensor_id not in sensors]
     if lost:
         raise BadInput(f"{path} has no sensor {lost[0]!r}, which a camera names: export the cameras again.")
-    numbers = {each: number for number, each in enumerate(wanted, 1)}
-    return {numbers[each]: _lens(sensors[each], path) for each in wanted}, numbers
+    numbers = {sensor_id: number for number, sensor_id in enumerate(wanted, 1)}
+    return {numbers[sensor_id]: _lens(sensors[sensor_id], path) for sensor_id in wanted}, numbers
 
 
 def _lens(sensor: Element, path: Path) -> Lens:
@@ -97,7 +97,7 @@ def _lens(sensor: Element, path: Path) -> Lens:
     if kind == "spherical":
         # It has no calibration: its picture is the whole sphere.
         return sphere_lens(_size_wh(sensor.find("resolution"), label))
-    calibrations = {each.get("class", "adjusted"): each for each in sensor.findall("calibration")}
+    calibrations = {calibration.get("class", "adjusted"): calibration for calibration in sensor.findall("calibration")}
     calibration = calibrations.get("adjusted", calibrations.get("initial"))
     if calibration is None:
         raise BadInput(f"{label} has no calibration: align the photographs and export the cameras again.")
@@ -139,8 +139,8 @@ def _size_wh(resolution: Element | None, label: str) -> tuple[int, int]:
 
 def _world_from_chunk(chunk: Element, component: str, path: Path) -> tuple[Sim3, bool]:
     """The similarity of the component, else of the chunk; the identity where neither has one."""
-    places = [each.find("transform") for each in chunk.findall(".//components/component") if each.get("id", "") == component]
-    transform = next((each for each in (*places, chunk.find("transform")) if each is not None and each.findtext("rotation")), None)
+    places = [element.find("transform") for element in chunk.findall(".//components/component") if element.get("id", "") == component]
+    transform = next((place for place in (*places, chunk.find("transform")) if place is not None and place.findtext("rotation")), None)
     if transform is None:
         return NO_TRANSFORM, False
     label = f"{path}: the transform of the chunk"

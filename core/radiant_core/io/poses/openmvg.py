@@ -32,7 +32,7 @@ COEFFICIENTS = {
     "fisheye": ("fisheye", 4),
 }
 """Camera model → the key of its coefficients, and how many they are."""
-Seen = dict[int, tuple[FloatArray, NDArray[np.int64]]]
+Observations = dict[int, tuple[FloatArray, NDArray[np.int64]]]
 
 
 def read_openmvg(path: Path, size_of: SizeOf) -> PoseFile:
@@ -41,14 +41,14 @@ def read_openmvg(path: Path, size_of: SizeOf) -> PoseFile:
     del size_of
     top = Fields(read_json_file(path), str(path))
     lenses = _lenses(top)
-    poses = {each.whole("key"): each.object("value") for each in top.objects("extrinsics")}
-    data = [_data(each) for each in top.objects("views")]
+    poses = {entry.whole("key"): entry.object("value") for entry in top.objects("extrinsics")}
+    data = [_data(view) for view in top.objects("views")]
     placed = {view.whole("id_view"): view for view in data if view.whole("id_pose") in poses and view.whole("id_intrinsic") in lenses}
     if not placed:
         raise BadInput(f"{path} has no view with a pose and an intrinsic: give the sfm_data.json that a reconstruction wrote.")
-    points, seen = _structure(top, set(placed))
+    points, observations = _structure(top, set(placed))
     numbers = {key: number for number, key in enumerate(lenses, 1)}
-    views = [_view(number, view, poses[view.whole("id_pose")], numbers, seen) for number, view in placed.items()]
+    views = [_view(number, view, poses[view.whole("id_pose")], numbers, observations) for number, view in placed.items()]
     used = {view.lens_id for view in views}
     unplaced = len(data) - len(placed)
     return PoseFile(
@@ -104,15 +104,15 @@ def _lens(name: str, data: Fields) -> Lens:
     )
 
 
-def _view(number: int, view: Fields, pose: Fields, numbers: dict[int, int], seen: Seen) -> PosedView:
+def _view(number: int, view: Fields, pose: Fields, numbers: dict[int, int], observations: Observations) -> PosedView:
     folder, file = view.text("local_path", "").strip("/"), view.text("filename")
     rotation = pose.numbers("rotation", (3, 3))
     center = pose.numbers("center", (3,))
     name = f"{folder}/{file}" if folder else file
-    return posed_view(name, numbers[view.whole("id_intrinsic")], rotation, -rotation @ center, seen.get(number))
+    return posed_view(name, numbers[view.whole("id_intrinsic")], rotation, -rotation @ center, observations.get(number))
 
 
-def _structure(top: Fields, placed: set[int]) -> tuple[FloatArray, Seen]:
+def _structure(top: Fields, placed: set[int]) -> tuple[FloatArray, Observations]:
     landmarks = [entry.object("value") for entry in top.objects("structure")] if "structure" in top else []
     points = numbers_of([landmark.get("X") for landmark in landmarks], (None, 3), f"{top.place}: structure")
     rows: dict[int, list[tuple[int, FloatArray]]] = {}
@@ -121,5 +121,7 @@ def _structure(top: Fields, placed: set[int]) -> tuple[FloatArray, Seen]:
             view = entry.whole("key")
             if view in placed:
                 rows.setdefault(view, []).append((row, entry.object("value").numbers("x", (2,))))
-    seen = {view: (np.array([place for _, place in each]), np.array([row for row, _ in each], np.int64)) for view, each in rows.items()}
-    return points, seen
+    observations = {
+        view: (np.array([place for _, place in entries]), np.array([row for row, _ in entries], np.int64)) for view, entries in rows.items()
+    }
+    return points, observations

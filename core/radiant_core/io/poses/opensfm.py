@@ -26,7 +26,7 @@ TRACKS_MARK = "OPENSFM_TRACKS_VERSION_v"
 PROGRAM = "OpenSfM"
 SPHERES = ("spherical", "equirectangular")
 READ_TYPES = ("perspective", "simple_radial", "radial", "brown", "fisheye", "fisheye_opencv", *SPHERES)
-Seen = dict[str, tuple[FloatArray, NDArray[np.int64]]]
+Observations = dict[str, tuple[FloatArray, NDArray[np.int64]]]
 
 
 def read_opensfm(path: Path, size_of: SizeOf) -> PoseFile:
@@ -47,12 +47,12 @@ def read_opensfm(path: Path, size_of: SizeOf) -> PoseFile:
     numbers = {name: number for number, name in enumerate(cameras, 1)}
     ids, points, colors = _points(chosen)
     shots = chosen.items("shots")
-    seen = _observations(path.with_name("tracks.csv"), ids, {name: cameras.get(shot.text("camera")) for name, shot in shots})
+    observations = _observations(path.with_name("tracks.csv"), ids, {name: cameras.get(shot.text("camera")) for name, shot in shots})
     return PoseFile(
         path=path,
         program=PROGRAM,
         lenses={number: cameras[name] for name, number in numbers.items()},
-        views=tuple(_view(name, shot, numbers, seen) for name, shot in shots),
+        views=tuple(_view(name, shot, numbers, observations) for name, shot in shots),
         points=points,
         colors=colors,
         world=_world(chosen, path),
@@ -64,9 +64,9 @@ def _cameras(chosen: Fields, path: Path) -> dict[str, Lens]:
     """Lens by the id of its camera; of those that lack cameras.json is asked."""
     wanted = {shot.text("camera") for _, shot in chosen.items("shots")}
     there = dict(chosen.items("cameras")) if "cameras" in chosen else {}
-    beside = path.with_name("cameras.json")
-    if wanted - there.keys() and beside.is_file():
-        there |= Fields({"cameras": read_json_file(beside)}, str(beside)).items("cameras")
+    cameras_path = path.with_name("cameras.json")
+    if wanted - there.keys() and cameras_path.is_file():
+        there |= Fields({"cameras": read_json_file(cameras_path)}, str(cameras_path)).items("cameras")
     lost = sorted(wanted - there.keys())
     if lost:
         raise BadInput(f"{path} has no camera {lost[0]!r}, which a shot names: put cameras.json beside it or export it again.")
@@ -111,15 +111,15 @@ def _points(chosen: Fields) -> tuple[list[str], FloatArray, NDArray[np.uint8] | 
     return [name for name, _ in points], xyz, np.clip(colors, 0, 255).round().astype(np.uint8)
 
 
-def _view(name: str, shot: Fields, numbers: dict[str, int], seen: Seen) -> PosedView:
+def _view(name: str, shot: Fields, numbers: dict[str, int], observations: Observations) -> PosedView:
     turn = shot.numbers("rotation", (3,))
     if not np.abs(turn).max() < 1e3:
         raise BadInput(f"{shot.place}: 'rotation' is {turn.tolist()}, expected an axis times radians: export the file again.")
     rotation = Rotation.from_rotvec(turn).as_matrix()
-    return posed_view(name, numbers[shot.text("camera")], rotation, shot.numbers("translation", (3,)), seen.get(name))
+    return posed_view(name, numbers[shot.text("camera")], rotation, shot.numbers("translation", (3,)), observations.get(name))
 
 
-def _observations(path: Path, ids: list[str], lens_of: dict[str, Lens | None]) -> Seen:
+def _observations(path: Path, ids: list[str], lens_of: dict[str, Lens | None]) -> Observations:
     """What each photograph sees, by tracks.csv: image, track, feature, x and y as shares of the
     larger side from the middle, …; nothing where there is no such file."""
     if not path.is_file():
@@ -136,7 +136,7 @@ def _observations(path: Path, ids: list[str], lens_of: dict[str, Lens | None]) -
             continue
         if cells[0] in lens_of and cells[1] in row_of:
             gathered.setdefault(cells[0], []).append((row_of[cells[1]], cells[3], cells[4]))
-    seen: Seen = {}
+    observations: Observations = {}
     for name, rows in gathered.items():
         lens = lens_of[name]
         assert lens is not None
@@ -146,16 +146,16 @@ def _observations(path: Path, ids: list[str], lens_of: dict[str, Lens | None]) -
             raise BadInput(f"{path}: a place that {name!r} sees is no number: export the tracks again.") from None
         if not (np.abs(shares) < 1e3).all():
             raise BadInput(f"{path}: a place that {name!r} sees lies far outside of it: export the tracks again.")
-        seen[name] = shares * max(lens.size_wh) + np.array(lens.size_wh) / 2, np.array([row for row, _, _ in rows], np.int64)
-    return seen
+        observations[name] = shares * max(lens.size_wh) + np.array(lens.size_wh) / 2, np.array([row for row, _, _ in rows], np.int64)
+    return observations
 
 
 def _world(chosen: Fields, path: Path) -> GivenWorld:
-    beside = path.with_name("reference_lla.json")
+    reference_path = path.with_name("reference_lla.json")
     if "reference_lla" in chosen:
         reference = chosen.object("reference_lla")
-    elif beside.is_file():
-        reference = Fields(read_json_file(beside), str(beside))
+    elif reference_path.is_file():
+        reference = Fields(read_json_file(reference_path), str(reference_path))
     else:
         return UNKNOWN_WORLD
     lat, lon, alt = reference.number("latitude"), reference.number("longitude"), reference.number("altitude", 0.0)

@@ -41,7 +41,7 @@ def parts_of(path: Path) -> dict[str, Path]:
     for item in project.objects("items"):
         for resource in item.objects("resources"):
             form = resource.text("format")
-            kind = next((kind for kind, each in KINDS.items() if each == form), None)
+            kind = next((kind for kind, name in KINDS.items() if name == form), None)
             if kind is None:
                 continue
             if kind in parts:

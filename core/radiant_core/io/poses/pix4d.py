@@ -31,7 +31,7 @@ MAX_AWAY, MAX_TURN = 1e-3, 1e-4
 """How far centres and rotations of the two files may be apart: their digits end at 1e-6."""
 
 
-def beside(path: Path, ending: str) -> Path:
+def sibling(path: Path, ending: str) -> Path:
     """The file of the same project with another ending."""
     prefix = path.name[: -len(INTERNAL)] if path.name.endswith(INTERNAL) else path.name[: -len(EXTERNAL)]
     return path.with_name(prefix + ending)
@@ -42,7 +42,7 @@ def read_pix4d(path: Path, size_of: SizeOf) -> PoseFile:
     there, for a lens of another form, and where the two files contradict each other."""
     del size_of
     if path.name.endswith(EXTERNAL):
-        raise BadInput(f"{path} has no lenses: give {beside(path, INTERNAL).name}, which Pix4D writes beside it.")
+        raise BadInput(f"{path} has no lenses: give {sibling(path, INTERNAL).name}, which Pix4D writes beside it.")
     lines = [line.strip() for line in read_text(path).split("\n") if line.strip()]
     while lines and lines[0].split()[0] in HEAD_WORDS:
         lines.pop(0)
@@ -55,9 +55,9 @@ def read_pix4d(path: Path, size_of: SizeOf) -> PoseFile:
     lenses: dict[Lens, int] = {}
     views = [_view(lines[at : at + BLOCK_LINES], lenses, offset, path) for at in range(0, len(lines), BLOCK_LINES)]
     _require_agreement(views, path)
-    system = beside(path, SYSTEM)
+    system = sibling(path, SYSTEM)
     crs = read_text(system).strip() if has_offset and system.is_file() else ""
-    local = () if has_offset else (f"there is no {beside(path, OFFSET).name}: coordinates are not those of the output system.",)
+    local = () if has_offset else (f"there is no {sibling(path, OFFSET).name}: coordinates are not those of the output system.",)
     return PoseFile(
         path=path,
         program="Pix4D",
@@ -70,7 +70,7 @@ def read_pix4d(path: Path, size_of: SizeOf) -> PoseFile:
 
 
 def _offset(path: Path) -> tuple[FloatArray, bool]:
-    file = beside(path, OFFSET)
+    file = sibling(path, OFFSET)
     if not file.is_file():
         return np.zeros(3), False
     return _numbers(read_text(file).replace(",", " "), 3, str(file)), True
@@ -106,7 +106,7 @@ def _view(block: list[str], lenses: dict[Lens, int], offset: FloatArray, path: P
 
 def _require_agreement(views: list[PosedView], path: Path) -> None:
     """Raise BadInput where the external parameters beside the file are of another alignment."""
-    file = beside(path, EXTERNAL)
+    file = sibling(path, EXTERNAL)
     if not file.is_file():
         return
     poses = {view.name: view.cam_from_world for view in views}
@@ -122,7 +122,7 @@ def _require_agreement(views: list[PosedView], path: Path) -> None:
         if away > MAX_AWAY or turn > MAX_TURN:
             raise BadInput(
                 f"{path.name} and {file.name} contradict each other: photograph {words[0]!r} lies {away:.3g} apart and is turned by "
-                f"{turn:.3g} rad: give both files and {beside(path, OFFSET).name} of one export, or this one alone."
+                f"{turn:.3g} rad: give both files and {sibling(path, OFFSET).name} of one export, or this one alone."
             )
 
 

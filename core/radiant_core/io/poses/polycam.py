@@ -27,7 +27,7 @@ def read_polycam(path: Path, size_of: SizeOf) -> PoseFile:
     """All cameras in the folder of `path`."""
     del size_of
     lenses: dict[Lens, int] = {}
-    views = [_view(each, lenses) for each in sorted(path.parent.glob("*.json"))]
+    views = [_view(camera_path, lenses) for camera_path in sorted(path.parent.glob("*.json"))]
     return PoseFile(
         path=path.parent,
         program="Polycam",

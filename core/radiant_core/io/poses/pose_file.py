@@ -122,22 +122,22 @@ def straight_camera(camera_id: int, lens: Lens) -> ColmapCamera:
 
 
 def posed_view(
-    name: str, lens_id: int, rotation: FloatArray, translation: FloatArray, seen: tuple[FloatArray, NDArray[np.int64]] | None = None
+    name: str, lens_id: int, rotation: FloatArray, translation: FloatArray, observations: tuple[FloatArray, NDArray[np.int64]] | None = None
 ) -> PosedView:
-    """A view from x_cam = R x_world + t; `seen`: pixels (K,2), rows (K,) of points. Raises BadInput
-    where R is no rotation or a number is not finite."""
+    """A view from x_cam = R x_world + t; `observations`: pixels (K,2), rows (K,) of points. Raises
+    BadInput where R is no rotation or a number is not finite."""
     pose = np.eye(4)
     pose[:3, :3] = nearest_rotation(rotation, f"photograph {name!r}")
     pose[:3, 3] = check_array(f"the translation of {name!r}", translation, (3,))
-    pixels, rows = (np.zeros((0, 2)), np.zeros(0, np.int64)) if seen is None else seen
+    pixels, rows = (np.zeros((0, 2)), np.zeros(0, np.int64)) if observations is None else observations
     return PosedView(name=name, lens_id=lens_id, cam_from_world=pose, pixels=pixels, point_rows=rows)
 
 
-def nearest_rotation(matrix: FloatArray, what: str) -> FloatArray:
+def nearest_rotation(matrix: FloatArray, subject: str) -> FloatArray:
     """The rotation (3,3) that a file printed to few digits; BadInput where it is none."""
-    matrix = check_array(f"the rotation of {what}", matrix, (3, 3))
+    matrix = check_array(f"the rotation of {subject}", matrix, (3, 3))
     if not (np.abs(matrix) <= 2).all() or np.abs(matrix @ matrix.T - np.eye(3)).max() > MAX_TILT or np.linalg.det(matrix) < 0:
-        raise BadInput(f"the pose of {what} is no rotation (scaled, mirrored or of another order): export it again.")
+        raise BadInput(f"the pose of {subject} is no rotation (scaled, mirrored or of another order): export it again.")
     U, _, Vt = np.linalg.svd(matrix)
     return U @ Vt
 

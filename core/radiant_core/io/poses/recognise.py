@@ -43,7 +43,7 @@ class Format:
 
     program: str
     knows: Callable[[str, Callable[[], bytes]], bool]
-    read: Reader
+    reader: Reader
 
 
 FORMATS: tuple[Format, ...] = (
@@ -57,7 +57,7 @@ FORMATS: tuple[Format, ...] = (
     Format("RealityScan", lambda name, head: name.endswith(".csv") and _is_realityscan(head()), read_realityscan),
     Format("Polycam", lambda name, head: name.endswith(".json") and b'"t_00"' in head(), read_polycam),
 )
-READ = (
+READABLE = (
     "transforms.json (nerfstudio, instant-ngp, Blender), reconstruction.json (OpenSfM, ODM), cameras.xml (Metashape), RealityScan's CSV, "
     "calibrated_camera_parameters.txt (Pix4D), project.opf, sfm_data.json (openMVG), bundle.out (Bundler), Polycam's keyframes"
 )
@@ -66,7 +66,7 @@ READ = (
 
 def format_of(path: Path) -> Format | None:
     """The format of a file; None of one that is no alignment."""
-    return next((each for each in FORMATS if each.knows(path.name.lower(), lambda: _head(path))), None)
+    return next((form for form in FORMATS if form.knows(path.name.lower(), lambda: _head(path))), None)
 
 
 def find_alignments(folder: Path) -> tuple[Path, ...]:
@@ -87,31 +87,31 @@ def alignment_files(path: Path) -> tuple[Path, ...]:
     """The files that are read of the alignment in `path`, as far as they are there."""
     form = format_of(path)
     program = "" if form is None else form.program
-    beside: list[Path] = []
+    parts: list[Path] = []
     if path.name in SPLIT_NAMES:
-        beside = [path.with_name(name) for name in SPLIT_NAMES]
+        parts = [path.with_name(name) for name in SPLIT_NAMES]
     elif program == "Polycam":
-        beside = sorted(path.parent.glob("*.json"))
+        parts = sorted(path.parent.glob("*.json"))
     elif program == "OpenSfM or ODM":
-        beside = [path.with_name(name) for name in ("cameras.json", "tracks.csv", "reference_lla.json")]
+        parts = [path.with_name(name) for name in ("cameras.json", "tracks.csv", "reference_lla.json")]
     elif program == "Pix4D":
-        beside = [pix4d.beside(path, ending) for ending in (pix4d.EXTERNAL, pix4d.OFFSET, pix4d.SYSTEM)]
+        parts = [pix4d.sibling(path, ending) for ending in (pix4d.EXTERNAL, pix4d.OFFSET, pix4d.SYSTEM)]
     elif program == "Bundler":
-        beside = [each for each in (list_of(path),) if each is not None]
+        parts = [list_file for list_file in (list_of(path),) if list_file is not None]
     elif program == "OPF":
-        beside = [*parts_of(path).values()]
-    return tuple(dict.fromkeys(each for each in (path, *beside) if each.is_file()))
+        parts = [*parts_of(path).values()]
+    return tuple(dict.fromkeys(file for file in (path, *parts) if file.is_file()))
 
 
 def read_alignment(path: Path, size_of: SizeOf) -> PoseFile:
     """The alignment in a file; BadInput where it is of no format that is read, or of a broken
     one."""
     if not path.is_file():
-        raise BadInput(f"{path} is no file with an alignment: expected {READ}, or the folder of a COLMAP model.")
+        raise BadInput(f"{path} is no file with an alignment: expected {READABLE}, or the folder of a COLMAP model.")
     form = format_of(path)
     if form is None:
-        raise BadInput(f"{path} is no alignment that is read here: expected {READ}, or the folder of a COLMAP model.")
-    return form.read(path, size_of)
+        raise BadInput(f"{path} is no alignment that is read here: expected {READABLE}, or the folder of a COLMAP model.")
+    return form.reader(path, size_of)
 
 
 def _files_in(folder: Path) -> Iterator[Path]:
@@ -124,8 +124,8 @@ def _files_in(folder: Path) -> Iterator[Path]:
 def photographs_beside(path: Path, folder: Path) -> Path:
     """The folder of an alignment's photographs: `folder`, or that of Polycam's cameras, which has
     them twice."""
-    beside = path.parent.with_name(path.parent.name.replace("cameras", "images"))
-    return beside if path.parent.name in polycam.FOLDERS and beside.is_dir() else folder
+    photo_folder = path.parent.with_name(path.parent.name.replace("cameras", "images"))
+    return photo_folder if path.parent.name in polycam.FOLDERS and photo_folder.is_dir() else folder
 
 
 def _first_of(path: Path) -> Path:
@@ -134,11 +134,11 @@ def _first_of(path: Path) -> Path:
     if path.name in SPLIT_NAMES:
         together = [path.with_name(name) for name in SPLIT_NAMES]
     elif path.name.endswith((pix4d.INTERNAL, pix4d.EXTERNAL)):
-        together = [pix4d.beside(path, pix4d.INTERNAL), path]
+        together = [pix4d.sibling(path, pix4d.INTERNAL), path]
     elif path.parent.name in polycam.FOLDERS and path.suffix == ".json":
         folders = [path.parent.parent / name for name in polycam.FOLDERS]
-        together = [each for folder in folders for each in sorted(folder.glob("*.json"))]
-    return next(each for each in (*together, path) if each.is_file())
+        together = [camera_path for folder in folders for camera_path in sorted(folder.glob("*.json"))]
+    return next(part for part in (*together, path) if part.is_file())
 
 
 def _is_metashape(head: bytes) -> bool:

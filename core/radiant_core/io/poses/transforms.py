@@ -38,8 +38,8 @@ def read_transforms(path: Path, size_of: SizeOf) -> PoseFile:
     """The alignment in `path`; of transforms_train.json those of val and test beside it too. Raises
     BadInput for a lens that is not read here, by its name."""
     splits = [path.with_name(f"transforms_{split}.json") for split in SPLITS]
-    paths = [each for each in splits if each.is_file()] if path in splits else [path]
-    tops = [Fields(read_json_file(each), str(each)) for each in paths]
+    paths = [file for file in splits if file.is_file()] if path in splits else [path]
+    tops = [Fields(read_json_file(file), str(file)) for file in paths]
     frames = [(top, frame) for top in tops for frame in top.objects("frames")]
     if not frames:
         raise BadInput(f"{path} has no frames: export the alignment again.")

@@ -57,12 +57,12 @@ class Acceptance:
         reason = self._refusal(offer)
         if reason:
             return self, Verdict(status="rejected", reason=reason)
-        known = self.accepted.get(offer.region)
-        if known is None:
+        accepted = self.accepted.get(offer.region)
+        if accepted is None:
             return replace(self, accepted={**self.accepted, offer.region: offer}), Verdict(status="accepted")
-        if known.digest == offer.digest:
-            return self, Verdict(status="duplicate", reason=f"these files were accepted as attempt {known.attempt}.")
-        return self, Verdict(status="rejected", reason=f"attempt {known.attempt} was accepted first, this is attempt {offer.attempt}.")
+        if accepted.digest == offer.digest:
+            return self, Verdict(status="duplicate", reason=f"these files were accepted as attempt {accepted.attempt}.")
+        return self, Verdict(status="rejected", reason=f"attempt {accepted.attempt} was accepted first, this is attempt {offer.attempt}.")
 
     def _refusal(self, offer: Offer) -> str:
         """Why an upload could not be accepted even if it were the first; empty where it could."""

@@ -116,8 +116,8 @@ class Delivery:
             raise BadInput(f"a delivery is attempt {self.attempt}, expected 1 to {MAX_ATTEMPT}.")
         needed, possible = FILES[self.kind]
         if not needed <= set(self.files) <= needed | possible:
-            found = ", ".join(sorted(self.files))[:200]
-            raise BadInput(f"a delivery of kind {self.kind} has the files {found}, expected {', '.join(sorted(needed))}.")
+            names = ", ".join(sorted(self.files))[:200]
+            raise BadInput(f"a delivery of kind {self.kind} has the files {names}, expected {', '.join(sorted(needed))}.")
         for name, file in self.files.items():
             most_bytes = MAX_FOLDER_BYTES if name in FOLDERS else MAX_FILE_BYTES
             if not (0 <= file.bytes <= most_bytes and _HASH.fullmatch(file.sha256)):

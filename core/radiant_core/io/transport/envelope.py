@@ -172,12 +172,12 @@ class Request:
 
     def message(self) -> bytes:
         """What is signed."""
-        said = [self.node, str(self.counter), self.method, self.target, self.body_sha256]
-        return _REQUEST + "\n".join(said).encode(errors="surrogateescape")
+        parts = [self.node, str(self.counter), self.method, self.target, self.body_sha256]
+        return _REQUEST + "\n".join(parts).encode(errors="surrogateescape")
 
     def reply_message(self, seal: str, status: int, offset: str, body: bytes) -> bytes:
         """What the server signs that answers this request as it came, with `seal`: who altered one
         on its way cannot pass on the refusal as that of the genuine one. `offset` is where a part
         goes on, else empty."""
-        said = [hashlib.sha256(self.message()).hexdigest(), seal, str(status), offset, hashlib.sha256(body).hexdigest()]
-        return _REPLY + "\n".join(said).encode(errors="surrogateescape")
+        parts = [hashlib.sha256(self.message()).hexdigest(), seal, str(status), offset, hashlib.sha256(body).hexdigest()]
+        return _REPLY + "\n".join(parts).encode(errors="surrogateescape")

@@ -99,9 +99,9 @@ def _float16_arrays(splats: Splats) -> dict[str, NDArray]:
     places = np.rint((means - box[0]) / np.where(extent > 0, extent, 1) * _MEAN_MAX).astype(np.uint64)
     # Beyond float16's end an exponential is 0 or infinite and a sigmoid 0 or 1 either way.
     saturated = {name: np.clip(getattr(splats, name), -MAX_FLOAT16, MAX_FLOAT16) for name in ("log_scales", "logit_opacities")}
-    rest = {"quats": unit_quats(splats.quats), "sh0": splats.sh0, "shN": splats.shN, **saturated}
+    others = {"quats": unit_quats(splats.quats), "sh0": splats.sh0, "shN": splats.shN, **saturated}
     packed = np.bitwise_or.reduce(places << _SHIFTS, axis=1)
-    return {"means": packed, "box": box, **{name: array.astype(np.float16) for name, array in rest.items()}}
+    return {"means": packed, "box": box, **{name: array.astype(np.float16) for name, array in others.items()}}
 
 
 def _load_float16(path: Path) -> Splats:

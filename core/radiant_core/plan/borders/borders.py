@@ -38,22 +38,24 @@ class Border:
 
 def shared_borders(plan: CloudPlan) -> tuple[Border, ...]:
     """All borders between two regions, by `first`, then around it; not the scene's outer edge."""
-    found: list[Border] = []
+    borders: list[Border] = []
     for edge, polygon in enumerate(plan.borders):
         if len(polygon) < 3:
             continue
         ends = np.stack([polygon, np.roll(polygon, -1, axis=0)], axis=1)
         neighbours = neighbours_across(plan, edge, ends.mean(axis=1)).tolist()
         # Both regions have this side: the lower index keeps it.
-        found += [Border(first=edge, second=other, ends=side) for side, other in zip(ends, neighbours, strict=True) if other > edge]
-    return tuple(border for border in found if border.length_m > 0)
+        borders += [
+            Border(first=edge, second=neighbour, ends=side) for side, neighbour in zip(ends, neighbours, strict=True) if neighbour > edge
+        ]
+    return tuple(border for border in borders if border.length_m > 0)
 
 
 def neighbours_across(plan: CloudPlan, edge: int, points: FloatArray) -> NDArray[np.int64]:
     """For points (K,2) on the outline of region `edge` the region behind, −1 where the scene ends:
     at a border two regions are equally near by power distance ‖x − P‖² − w."""
     distances = ((points[:, None] - plan.sites) ** 2).sum(axis=2) - plan.weights
-    own = distances[:, edge].copy()
+    to_edge = distances[:, edge].copy()
     distances[:, edge] = np.inf
     if distances.shape[1] < 2:
         return np.full(len(points), -1)
@@ -61,7 +63,7 @@ def neighbours_across(plan: CloudPlan, edge: int, points: FloatArray) -> NDArray
     corners = np.concatenate(plan.borders)
     # m²: corners rounded to 1e-6 of the scene move the difference by about 1e-6 · diameter².
     tolerance = 1e-6 * float((np.ptp(corners, axis=0) ** 2).sum())
-    shared = np.abs(distances[np.arange(len(points)), nearest] - own) <= tolerance
+    shared = np.abs(distances[np.arange(len(points)), nearest] - to_edge) <= tolerance
     return np.where(shared, nearest, -1)
 
 

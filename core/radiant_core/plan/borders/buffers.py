@@ -79,7 +79,7 @@ def plan_buffers(
     require_same_system(edges, system)
     if rule.min_share is not None and (shares is None or (shares.num_images, shares.num_regions) != (len(positions), len(edges))):
         raise BadInput(f"shares of {len(positions)} footprints in {len(edges)} regions are needed: call region_shares of this plan.")
-    made: list[EdgeBuffer] = []
+    buffers: list[EdgeBuffer] = []
     for index, (edge, plan) in enumerate(zip(system.edges, edges, strict=True)):
         border = cloud.borders[index]
         if len(border) < 3 or not edge.devices:
@@ -89,8 +89,8 @@ def plan_buffers(
         else:
             assert shares is not None and rule.min_share is not None
             candidates = _seeing(shares, index, cloud.edge_of_camera, rule.min_share)
-        made.append(_take(edge, plan, positions, candidates, rule.deadline_s, float(cloud.edge_time_s[index])))
-    return tuple(made)
+        buffers.append(_take(edge, plan, positions, candidates, rule.deadline_s, float(cloud.edge_time_s[index])))
+    return tuple(buffers)
 
 
 def _near(positions: FloatArray, border: FloatArray, others: NDArray[np.bool_], within_m: float) -> NDArray[np.int64]:
@@ -98,50 +98,50 @@ def _near(positions: FloatArray, border: FloatArray, others: NDArray[np.bool_], 
     low, high = border.min(axis=0) - within_m, border.max(axis=0) + within_m
     rows = np.flatnonzero(others & (positions >= low).all(axis=1) & (positions <= high).all(axis=1))
     away_m = distance_outside_m(positions[rows], border)
-    kept = away_m <= within_m
-    return rows[kept][np.lexsort((rows[kept], away_m[kept]))]
+    is_near = away_m <= within_m
+    return rows[is_near][np.lexsort((rows[is_near], away_m[is_near]))]
 
 
 def _seeing(shares: RegionShares, index: int, edge_of_camera: NDArray[np.int64], min_share: float) -> NDArray[np.int64]:
     """Cameras (K,) of other regions with at least that share of their footprint in a region, the
     largest share first."""
     rows, values = shares.of_region(index)
-    kept = (values >= min_share) & (edge_of_camera[rows] != index)
-    return rows[kept][np.lexsort((rows[kept], -values[kept]))]
+    sees_region = (values >= min_share) & (edge_of_camera[rows] != index)
+    return rows[sees_region][np.lexsort((rows[sees_region], -values[sees_region]))]
 
 
 def _take(
     edge: Edge, plan: EdgePlan, positions: FloatArray, candidates: NDArray[np.int64], deadline_s: float | None, planned_s: float
 ) -> EdgeBuffer:
-    own = np.array([len(plan.cameras_of(device.id)) for device in edge.devices], dtype=np.int64)
-    device_of, fits = _nearest_with_room(edge, plan, positions[candidates], own)
+    planned_counts = np.array([len(plan.cameras_of(device.id)) for device in edge.devices], dtype=np.int64)
+    device_of, fits = _nearest_with_room(edge, plan, positions[candidates], planned_counts)
     chosen, device_of = candidates[fits], device_of[fits]
 
-    def counts(taken: int) -> NDArray[np.int64]:
-        return own + np.bincount(device_of[:taken], minlength=len(own))
+    def counts(num_taken: int) -> NDArray[np.int64]:
+        return planned_counts + np.bincount(device_of[:num_taken], minlength=len(planned_counts))
 
-    taken = len(chosen)
-    if deadline_s is not None and _edge_time_s(edge, counts(taken)) > deadline_s:
-        low, high = 0, taken  # Time never falls with cameras: the most that fit lie between.
+    num_taken = len(chosen)
+    if deadline_s is not None and _edge_time_s(edge, counts(num_taken)) > deadline_s:
+        low, high = 0, num_taken  # Time never falls with cameras: the most that fit lie between.
         while high - low > 1:
             middle = (low + high) // 2
             low, high = (middle, high) if _edge_time_s(edge, counts(middle)) <= deadline_s else (low, middle)
-        taken = low
-    final = counts(taken)
+        num_taken = low
+    final = counts(num_taken)
     return EdgeBuffer(
         edge_id=edge.id,
         device_ids=plan.device_ids,
-        camera_indices=chosen[:taken],
-        device_of_camera=device_of[:taken],
+        camera_indices=chosen[:num_taken],
+        device_of_camera=device_of[:num_taken],
         device_time_s=np.array([float(device_time_s(d, n)) for d, n in zip(edge.devices, final.tolist(), strict=True)]),
-        edge_time_s=_edge_time_s(edge, final) if taken else planned_s,
+        edge_time_s=_edge_time_s(edge, final) if num_taken else planned_s,
         planned_edge_time_s=planned_s,
-        num_refused=len(candidates) - taken,
+        num_refused=len(candidates) - num_taken,
     )
 
 
 def _nearest_with_room(
-    edge: Edge, plan: EdgePlan, places: FloatArray, own: NDArray[np.int64]
+    edge: Edge, plan: EdgePlan, places: FloatArray, planned_counts: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Device (K,) whose strip is nearest to each place (K,2) among those that own land, and whether
     its memory still holds it."""
@@ -154,7 +154,7 @@ def _nearest_with_room(
     for index in landed:
         limit = edge.devices[index].max_cameras
         nearest = np.flatnonzero(device_of == index)
-        fits[nearest[: None if limit is None else max(0, limit - int(own[index]))]] = True
+        fits[nearest[: None if limit is None else max(0, limit - int(planned_counts[index]))]] = True
     return device_of, fits
 
 

@@ -149,8 +149,8 @@ def ground_footprints(views: Views, horizon: float = HORIZON_HEIGHTS) -> Footpri
     polygons = np.repeat(views.positions[:, None], MAX_CORNERS, axis=1)
     for start in range(0, len(views), _BLOCK):
         rows = np.flatnonzero(views.heights_m[start : start + _BLOCK] > 0) + start
-        rays, seen = _cut_at_horizon(views.corner_rays[rows], horizon)
-        rows, rays = rows[seen], rays[seen]
+        rays, sees_ground = _cut_at_horizon(views.corner_rays[rows], horizon)
+        rows, rays = rows[sees_ground], rays[sees_ground]
         polygons[rows] += rays[..., :2] * (views.heights_m[rows, None, None] / -rays[..., 2:])
     areas = signed_areas_m2(polygons - views.positions[:, None])
     polygons[areas < 0] = polygons[areas < 0][:, ::-1]
@@ -165,7 +165,7 @@ def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> Reg
     corners = [check_array("a region", polygon, (None, 2)) for polygon in polygons]
     order, lows, highs = sort_from_west(footprints)
     widest_m = float((highs[:, 0] - lows[:, 0]).max(initial=0.0))
-    found: list[tuple[FloatArray, NDArray[np.int64], int]] = []
+    parts: list[tuple[FloatArray, NDArray[np.int64], int]] = []
     for region, polygon in enumerate(corners):
         if len(polygon) < 3:
             continue
@@ -176,12 +176,12 @@ def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> Reg
         images = np.sort(order[near_rows[met]])
         areas = common_areas_m2(footprints.polygons[images], polygon)
         some = areas > 0
-        found.append((np.minimum(1.0, areas[some] / footprints.areas_m2[images[some]]), images[some], region))
-    columns = np.repeat(np.array([region for _, _, region in found], np.int64), [len(images) for _, images, _ in found])
+        parts.append((np.minimum(1.0, areas[some] / footprints.areas_m2[images[some]]), images[some], region))
+    columns = np.repeat(np.array([region for _, _, region in parts], np.int64), [len(images) for _, images, _ in parts])
     return RegionShares(
-        images=np.concatenate([np.zeros(0, np.int64), *(images for _, images, _ in found)]),
+        images=np.concatenate([np.zeros(0, np.int64), *(images for _, images, _ in parts)]),
         regions=columns,
-        shares=np.concatenate([np.zeros(0), *(shares for shares, _, _ in found)]),
+        shares=np.concatenate([np.zeros(0), *(shares for shares, _, _ in parts)]),
         num_images=len(footprints),
         num_regions=len(polygons),
     )
@@ -189,10 +189,10 @@ def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> Reg
 
 def sort_from_west(footprints: Footprints) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Images (K,) that see ground, from west to east, and corners (K,2) of their bounding boxes."""
-    seen = np.flatnonzero(footprints.areas_m2 > 0)
-    lows, highs = footprints.polygons[seen].min(axis=1), footprints.polygons[seen].max(axis=1)
+    images = np.flatnonzero(footprints.areas_m2 > 0)
+    lows, highs = footprints.polygons[images].min(axis=1), footprints.polygons[images].max(axis=1)
     order = np.argsort(lows[:, 0], kind="stable")
-    return seen[order], lows[order], highs[order]
+    return images[order], lows[order], highs[order]
 
 
 def common_areas_m2(footprints: FloatArray, polygon: FloatArray) -> FloatArray:
@@ -257,11 +257,11 @@ def _clip(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -> t
     crossing = (np.minimum(heights, next_heights) < 0) & (np.maximum(heights, next_heights) > 0)
     share = np.divide(heights, heights - next_heights, out=np.zeros_like(heights), where=crossing)
     slots = np.stack([rays, rays + share[..., None] * (following - rays)], axis=2).reshape(len(rays), 2 * rays.shape[1], 3)
-    kept = np.stack([heights <= 0, crossing], axis=2).reshape(len(rays), 2 * rays.shape[1]) & (counts > 0)[:, None]
+    is_used = np.stack([heights <= 0, crossing], axis=2).reshape(len(rays), 2 * rays.shape[1]) & (counts > 0)[:, None]
     # Repeated last rays stay repeated: only the first of them opens a side.
     size = int(rays.shape[1]) + 1
-    order = np.argsort(~kept, axis=1, kind="stable")[:, :size]
-    numbers = np.minimum(kept.sum(axis=1), size)
+    order = np.argsort(~is_used, axis=1, kind="stable")[:, :size]
+    numbers = np.minimum(is_used.sum(axis=1), size)
     filled = np.minimum(np.arange(size), np.maximum(numbers, 1)[:, None] - 1)
     return np.take_along_axis(slots, np.take_along_axis(order, filled, axis=1)[..., None], axis=1), numbers
 

@@ -99,23 +99,23 @@ def forecast_borders(
     if not (np.isfinite(half_band_m) and half_band_m > 0):
         raise BadInput(f"half_band_m is {half_band_m}, expected a positive width of the band beside a border.")
     borders = shared_borders(plan)
-    taken = {plan.edge_ids.index(buffer.edge_id): buffer.camera_indices for buffer in buffers}
-    seen = _Seen(footprints, plan.edge_of_camera, taken)
-    interiors = [_interior_support(plan, seen, edge, borders, half_band_m) for edge in range(len(plan.edge_ids))]
+    buffer_images = {plan.edge_ids.index(buffer.edge_id): buffer.camera_indices for buffer in buffers}
+    visibility = _Visibility(footprints, plan.edge_of_camera, buffer_images)
+    interiors = [_interior_support(plan, visibility, edge, borders, half_band_m) for edge in range(len(plan.edge_ids))]
     tree: Any = KDTree(views.positions) if borders else None
-    made: list[BorderForecast] = []
+    forecasts: list[BorderForecast] = []
     for border in borders:
         spots = _band_spots(border, half_band_m)
-        supports, images = _supports(seen, spots, (border.first, border.second))
+        supports, images = _supports(visibility, spots, (border.first, border.second))
         sampled = images[_evenly(len(images), int(np.clip(OVERLAP_IMAGES // len(borders), 4, 24)))]
         forward, side = _overlaps(views, footprints, tree, sampled)
         interior = (interiors[border.first], interiors[border.second])
-        made.append(
+        forecasts.append(
             BorderForecast(
                 edge_ids=(plan.edge_ids[border.first], plan.edge_ids[border.second]),
                 ends=border.ends,
                 half_band_m=half_band_m,
-                num_images=(int(seen.own(images, border.first).sum()), int(seen.own(images, border.second).sum())),
+                num_images=(int(visibility.taken_by(images, border.first).sum()), int(visibility.taken_by(images, border.second).sum())),
                 support=supports,
                 interior_support=interior,
                 forward_overlap=forward,
@@ -123,7 +123,7 @@ def forecast_borders(
                 risk=(model or RiskModel()).risk(min(supports)),
             )
         )
-    return tuple(made)
+    return tuple(forecasts)
 
 
 def band_of(plan: CloudPlan) -> float:
@@ -137,11 +137,11 @@ def band_of(plan: CloudPlan) -> float:
     return float(distances[:, 1].min()) / 20
 
 
-class _Seen:
+class _Visibility:
     """Which images see a spot: footprints sorted from west to east, so that few are tested."""
 
-    def __init__(self, footprints: Footprints, edge_of_image: NDArray[np.int64], taken: Mapping[int, NDArray[np.int64]]) -> None:
-        self.footprints, self.edge_of_image, self.taken = footprints, edge_of_image, taken
+    def __init__(self, footprints: Footprints, edge_of_image: NDArray[np.int64], buffer_images: Mapping[int, NDArray[np.int64]]) -> None:
+        self.footprints, self.edge_of_image, self.buffer_images = footprints, edge_of_image, buffer_images
         self.order, self.lows, self.highs = sort_from_west(footprints)
         self.widest_m = float((self.highs[:, 0] - self.lows[:, 0]).max(initial=0.0))
 
@@ -154,10 +154,10 @@ class _Seen:
         parts = [self._sees(images[start : start + _BLOCK], spots) for start in range(0, len(images), _BLOCK)]
         return images, np.concatenate([np.zeros((0, len(spots)), bool), *parts])
 
-    def own(self, images: NDArray[np.int64], edge: int) -> NDArray[np.bool_]:
+    def taken_by(self, images: NDArray[np.int64], edge: int) -> NDArray[np.bool_]:
         """Which of the images (K,) the devices of an edge take."""
         planned = self.edge_of_image[images] == edge
-        return np.logical_or(planned, np.isin(images, self.taken[edge])) if edge in self.taken else planned
+        return np.logical_or(planned, np.isin(images, self.buffer_images[edge])) if edge in self.buffer_images else planned
 
     def _sees(self, images: NDArray[np.int64], spots: FloatArray) -> NDArray[np.bool_]:
         corners = self.footprints.polygons[images] - spots[0]
@@ -179,29 +179,31 @@ def _band_spots(border: Border, half_band_m: float) -> FloatArray:
     return np.concatenate([along + offset for offset in offsets])
 
 
-def _supports(seen: _Seen, spots: FloatArray, edges: tuple[int, int]) -> tuple[tuple[float, float], NDArray[np.int64]]:
+def _supports(visibility: _Visibility, spots: FloatArray, edges: tuple[int, int]) -> tuple[tuple[float, float], NDArray[np.int64]]:
     """Own images per spot of each half, and the images of both edges that see any spot."""
-    images, sees = seen(spots)
+    images, sees = visibility(spots)
     used: NDArray[np.bool_] = np.any(sees, axis=0)
     half = len(spots) // 2
     halves = (slice(half), slice(half, None))
-    supports = [_mean(_numbers(sees, seen.own(images, edge))[part][used[part]]) for edge, part in zip(edges, halves, strict=True)]
-    taken = seen.own(images, edges[0]) | seen.own(images, edges[1])
-    return (supports[0], supports[1]), images[np.any(sees, axis=1) & taken]
+    supports = [
+        _mean(_numbers(sees, visibility.taken_by(images, edge))[part][used[part]]) for edge, part in zip(edges, halves, strict=True)
+    ]
+    by_either = visibility.taken_by(images, edges[0]) | visibility.taken_by(images, edges[1])
+    return (supports[0], supports[1]), images[np.any(sees, axis=1) & by_either]
 
 
-def _interior_support(plan: CloudPlan, seen: _Seen, edge: int, borders: Sequence[Border], half_band_m: float) -> float:
+def _interior_support(plan: CloudPlan, visibility: _Visibility, edge: int, borders: Sequence[Border], half_band_m: float) -> float:
     """Own images per spot of a region outside its bands, where its own images look; 0 without."""
-    own = np.flatnonzero((plan.edge_of_camera == edge) & (seen.footprints.areas_m2 > 0))
-    middles = seen.footprints.polygons[own].mean(axis=1)
+    rows = np.flatnonzero((plan.edge_of_camera == edge) & (visibility.footprints.areas_m2 > 0))
+    middles = visibility.footprints.polygons[rows].mean(axis=1)
     distances = [border.distances_m(middles) for border in borders if edge in (border.first, border.second)]
-    outside = np.min(distances, axis=0) > half_band_m if distances else np.ones(len(own), bool)
+    outside = np.min(distances, axis=0) > half_band_m if distances else np.ones(len(rows), bool)
     spots = middles[outside] if outside.any() else middles
     spots = spots[_evenly(len(spots), INTERIOR_SPOTS)]
     if not len(spots):
         return 0.0
-    images, sees = seen(spots)
-    return _mean(_numbers(sees, seen.own(images, edge)))
+    images, sees = visibility(spots)
+    return _mean(_numbers(sees, visibility.taken_by(images, edge)))
 
 
 def _overlaps(views: Views, footprints: Footprints, tree: Any, images: NDArray[np.int64]) -> tuple[float | None, float | None]:
@@ -218,9 +220,9 @@ def _overlaps(views: Views, footprints: Footprints, tree: Any, images: NDArray[n
         along = np.abs(steps @ top) >= np.abs(steps @ np.array([top[1], -top[0]]))
         polygon = _without_repeats(footprints.polygons[image])
         shares = common_areas_m2(footprints.polygons[others], polygon) / footprints.areas_m2[image]
-        for kind, which in enumerate((moved & along, moved & ~along)):
-            if which.any():
-                best[kind].append(float(shares[which].max()))
+        for kind, mask in enumerate((moved & along, moved & ~along)):
+            if mask.any():
+                best[kind].append(float(shares[mask].max()))
     forward, side = (float(np.median(values)) if values else None for values in best)
     return forward, side
 
@@ -233,9 +235,9 @@ def _share(here: float, there: float) -> float:
     return here / there if there > 0 else 0.0
 
 
-def _numbers(sees: NDArray[np.bool_], own: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _numbers(sees: NDArray[np.bool_], is_own: NDArray[np.bool_]) -> NDArray[np.int64]:
     """How many of the own images (K,) see each spot (S,)."""
-    return np.asarray(np.count_nonzero(sees & own[:, None], axis=0), np.int64)
+    return np.asarray(np.count_nonzero(sees & is_own[:, None], axis=0), np.int64)
 
 
 def _mean(values: NDArray[np.int64]) -> float:

@@ -66,9 +66,9 @@ def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
         high = np.clip(np.ceil(guess * (1 + window)).astype(np.int64) + margin, 0, fleet.limits)
         if int((high - low).sum()) > MAX_TABLE_ENTRIES:
             raise BadInput(f"{num_cameras} cameras on {len(fleet.limits)} devices cannot be told apart by time: use fewer.")
-        found = fleet.solve(low, high)
-        if found is not None:
-            return found
+        solution = fleet.solve(low, high)
+        if solution is not None:
+            return solution
         window *= 3
 
 
@@ -178,8 +178,8 @@ class _Fleet:
         low, high = 0.0, float(edge_time.max())
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
-            taken = _interpolate(edge_time, totals, np.full(len(self.starts), middle)).sum()
-            low, high = (low, middle) if taken >= self.num_cameras else (middle, high)
+            num_dealt = _interpolate(edge_time, totals, np.full(len(self.starts), middle)).sum()
+            low, high = (low, middle) if num_dealt >= self.num_cameras else (middle, high)
         edge_deadline = _interpolate(edge_time, deadlines, np.full(len(self.starts), high))
         return self._of_all_cameras(_interpolate(times, counts, edge_deadline[self.edge_of_device]))
 
@@ -206,7 +206,7 @@ class _Fleet:
         after = np.where(high < self.limits, self.time_s(np.minimum(high + 1, np.maximum(self.limits, 1))), np.inf)
         latest = np.minimum.reduceat(after, self.starts)
         full = np.add.reduceat(self.limits, self.starts)
-        taken = np.zeros(len(self.starts), np.int64)
+        start_counts = np.zeros(len(self.starts), np.int64)
         base_s = np.zeros(len(self.starts))
         entries: list[FloatArray] = []
         bounds: list[int] = first.tolist()
@@ -219,23 +219,23 @@ class _Fleet:
             slot_s = np.maximum.accumulate(np.concatenate([[earliest[index]], times]))
             total = slot_s + self.aggregate(counts, np.full(len(counts), index)) + sent
             total = np.where(counts > 0, np.maximum.accumulate(total), 0.0)
-            taken[index], base_s[index] = counts[begin], total[begin]
+            start_counts[index], base_s[index] = counts[begin], total[begin]
             entries.append(total[begin + 1 : end + 1])
         require_finite("the time of an edge against cameras", np.concatenate([base_s, *entries]))
-        return self._choose(taken, base_s, entries, full)
+        return self._choose(start_counts, base_s, entries, full)
 
-    def _choose(self, taken: Indices, base_s: FloatArray, entries: list[FloatArray], full: Indices) -> FastestCounts | None:
-        """The earliest entries beyond `taken` (E,), if they are proved to be the earliest."""
-        missing = self.num_cameras - int(taken.sum())
+    def _choose(self, start_counts: Indices, base_s: FloatArray, entries: list[FloatArray], full: Indices) -> FastestCounts | None:
+        """The earliest entries beyond `start_counts` (E,), where they are proved earliest."""
+        missing = self.num_cameras - int(start_counts.sum())
         lengths = np.array([len(times) for times in entries])
         if missing < 0 or missing > lengths.sum():
             return None
         owner = np.repeat(np.arange(len(entries)), lengths)
         position = np.arange(len(owner)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
         times = np.concatenate(entries)
-        chosen = np.lexsort((owner, position + taken[owner], times))[:missing]
+        chosen = np.lexsort((owner, position + start_counts[owner], times))[:missing]
         extra = np.bincount(owner[chosen], minlength=len(entries))
-        counts = taken + extra
+        counts = start_counts + extra
         # Any other counts take an entry that is not chosen, which is later than all that are; it
         # has to be as late as what is taken unseen.
         later = [float(times[more]) for times, more in zip(entries, extra, strict=True) if more < len(times)]
@@ -249,11 +249,11 @@ def _interpolate(rising: FloatArray, values: FloatArray, at: FloatArray) -> Floa
     """Row-wise values (R,J) where rising (R,J) reaches at (R,); 0 before the first node, the last
     value after the last."""
     below = (rising <= at[:, None]).sum(axis=1)
-    left = np.clip(below - 1, 0, rising.shape[1] - 1)
-    right = np.minimum(below, rising.shape[1] - 1)
+    lower = np.clip(below - 1, 0, rising.shape[1] - 1)
+    upper = np.minimum(below, rising.shape[1] - 1)
     rows = np.arange(len(at))
     with np.errstate(invalid="ignore"):
-        width = rising[rows, right] - rising[rows, left]
-        share = np.where((width > 0) & np.isfinite(width), (at - rising[rows, left]) / np.where(width > 0, width, 1.0), 0.0)
-    found = values[rows, left] + np.clip(share, 0, 1) * (values[rows, right] - values[rows, left])
-    return np.where(below > 0, found, 0.0)
+        width = rising[rows, upper] - rising[rows, lower]
+        share = np.where((width > 0) & np.isfinite(width), (at - rising[rows, lower]) / np.where(width > 0, width, 1.0), 0.0)
+    interpolated = values[rows, lower] + np.clip(share, 0, 1) * (values[rows, upper] - values[rows, lower])
+    return np.where(below > 0, interpolated, 0.0)

@@ -54,13 +54,13 @@ def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int
         )
     count = len(camera_indices)
     quotas = even_quotas(edge, count) if even else edge_table(edge, count).quotas(count)
-    own = positions[camera_indices]
-    centre = own.mean(axis=0) if len(own) else np.zeros(2)
-    axis = long_axis(own)
-    along = (own - centre) @ axis
-    across = (own - centre) @ np.array([-axis[1], axis[0]])
+    points = positions[camera_indices]
+    centre = points.mean(axis=0) if len(points) else np.zeros(2)
+    axis = long_axis(points)
+    along = (points - centre) @ axis
+    across = (points - centre) @ np.array([-axis[1], axis[0]])
     order = np.lexsort((camera_indices, across, along))
-    device_of_camera = np.empty(len(own), dtype=np.int64)
+    device_of_camera = np.empty(len(points), dtype=np.int64)
     cuts = _cuts(along[order])
     dealt = shortest_order(quotas, [device.id for device in edge.devices], chords_across(border - centre, axis, cuts))
     device_of_camera[order] = np.repeat(dealt, quotas[dealt])
@@ -108,11 +108,11 @@ def _strips(
     """Per device its part of the border (V,2), which is cut across `axis` at `cuts` (K+1,) between
     devices in the order `dealt`."""
     strips = [np.empty((0, 2))] * len(quotas)
-    rest = border
+    remainder = border
     ends = np.cumsum(quotas[dealt])
     for device, end in zip(dealt[:-1], ends[:-1], strict=True):
-        strips[device] = clip_polygon(rest, axis, float(cuts[end]))
-        rest = clip_polygon(rest, -axis, -float(cuts[end]))
+        strips[device] = clip_polygon(remainder, axis, float(cuts[end]))
+        remainder = clip_polygon(remainder, -axis, -float(cuts[end]))
     if len(dealt):
-        strips[dealt[-1]] = rest
+        strips[dealt[-1]] = remainder
     return strips

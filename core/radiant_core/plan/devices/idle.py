@@ -14,10 +14,10 @@ def idle_reasons(cloud: CloudPlan, edges: Sequence[EdgePlan], system: System) ->
     reasons: dict[str, str] = {}
     for plan in edges:
         edge, busy_s = edge_of[plan.edge_id], float(plan.device_time_s.max(initial=0.0))
-        own = {device.id: device for device in edge.devices}
+        devices_by_id = {device.id: device for device in edge.devices}
         for name in plan.device_ids:
             if not len(plan.cameras_of(name)):
-                reasons[name] = _reason(own[name], edge, len(plan.camera_indices), busy_s, cloud.makespan_s)
+                reasons[name] = _reason(devices_by_id[name], edge, len(plan.camera_indices), busy_s, cloud.makespan_s)
     return reasons
 
 

@@ -52,10 +52,10 @@ def chords_across(border: FloatArray, axis: FloatArray, at: FloatArray) -> Float
         return np.zeros(len(at))
     along, across = border @ axis, border @ np.array([-axis[1], axis[0]])
     low, high = np.full(len(at), np.inf), np.full(len(at), -np.inf)
-    for here, there, left, right in zip(along, np.roll(along, -1), across, np.roll(across, -1), strict=True):
+    for here, there, across_here, across_there in zip(along, np.roll(along, -1), across, np.roll(across, -1), strict=True):
         crossed = (at >= min(here, there)) & (at <= max(here, there))
         share = np.clip((at - here) / (there - here), 0, 1) if there != here else np.zeros(len(at))
-        meets = left + share * (right - left)
+        meets = across_here + share * (across_there - across_here)
         low, high = np.where(crossed, np.minimum(low, meets), low), np.where(crossed, np.maximum(high, meets), high)
     return np.where(high > low, high - low, 0.0)
 

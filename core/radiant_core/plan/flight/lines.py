@@ -75,8 +75,8 @@ def held_out_line(names: Sequence[str], centers: ArrayLike, number: int = 0) -> 
 
 def _in_flight(names: Sequence[str]) -> list[str]:
     """Names as the camera gave them, without the folders of a set that brings its own split."""
-    own = {"train", "val"} == {name.partition("/")[0] for name in names}
-    return [name.partition("/")[2] for name in names] if own else list(names)
+    has_split = {"train", "val"} == {name.partition("/")[0] for name in names}
+    return [name.partition("/")[2] for name in names] if has_split else list(names)
 
 
 def _goes_around(places: FloatArray) -> bool:
@@ -84,8 +84,10 @@ def _goes_around(places: FloatArray) -> bool:
     steps = np.diff(places, axis=0)
     steps = steps[np.linalg.norm(steps, axis=1) > 0]
     steps = steps / np.linalg.norm(steps, axis=1, keepdims=True)
-    one, other = steps[:-1], steps[1:]
-    turns: FloatArray = np.arctan2(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0], (one * other).sum(axis=1))
+    preceding, following = steps[:-1], steps[1:]
+    turns: FloatArray = np.arctan2(
+        preceding[:, 0] * following[:, 1] - preceding[:, 1] * following[:, 0], (preceding * following).sum(axis=1)
+    )
     sides = [float(np.mean(turns * side > 1e-6)) for side in (1, -1)] if len(turns) else [0.0]
     return max(sides) >= MIN_ONE_WAY and bool(abs(turns.sum()) > np.radians(MIN_AROUND_DEG))
 

@@ -73,12 +73,12 @@ def num_cut(lines: Sequence[Counts], device_of_camera: Counts) -> int:
 
 def device_of_all(edges: Sequence[EdgePlan], num_cameras: int) -> Counts:
     """Number of the device of every camera (C,), counted over all edges; −1 where not dealt."""
-    found, first = np.full(num_cameras, -1), 0
+    device_of_camera, first = np.full(num_cameras, -1), 0
     for plan in edges:
         dealt = plan.device_of_camera >= 0
-        found[plan.camera_indices[dealt]] = first + plan.device_of_camera[dealt]
+        device_of_camera[plan.camera_indices[dealt]] = first + plan.device_of_camera[dealt]
         first += len(plan.device_ids)
-    return found
+    return device_of_camera
 
 
 def keep_lines(positions: FloatArray, cloud: CloudPlan, edges: tuple[EdgePlan, ...], system: System, slack: float) -> LinePlan:
@@ -90,7 +90,7 @@ def keep_lines(positions: FloatArray, cloud: CloudPlan, edges: tuple[EdgePlan, .
         raise BadInput("--whole-lines deals lines to devices, and an edge of the system has none: name its devices.")
     lines = flight_lines(np.column_stack([positions, np.zeros(len(positions))]))
     before = num_cut(lines, device_of_all(edges, len(positions)))
-    kept = LinePlan(
+    unchanged = LinePlan(
         cloud=cloud,
         edges=edges,
         num_lines=len(lines),
@@ -99,15 +99,15 @@ def keep_lines(positions: FloatArray, cloud: CloudPlan, edges: tuple[EdgePlan, .
         slack=_over(cloud.makespan_s, cloud),
         reason="",
     )
-    found = _sequence(positions, lines)
-    if isinstance(found, str):
-        return replace(kept, reason=found)
-    order = _order_of_edges(system, cloud, found.axis)
-    ends = _fewest_cuts(found, system, order, cloud.lower_bound_s, slack)
+    sequence = _sequence(positions, lines)
+    if isinstance(sequence, str):
+        return replace(unchanged, reason=sequence)
+    order = _order_of_edges(system, cloud, sequence.axis)
+    ends = _fewest_cuts(sequence, system, order, cloud.lower_bound_s, slack)
     if ends is None:
         reason = f"no slack up to {slack:g} fits whole or cut lines to the devices in the order of the land."
-        return replace(kept, reason=reason)
-    new_cloud, new_edges = _plan_of(found, ends, order, system, cloud)
+        return replace(unchanged, reason=reason)
+    new_cloud, new_edges = _plan_of(sequence, ends, order, system, cloud)
     after = num_cut(lines, device_of_all(new_edges, len(positions)))
     return LinePlan(
         cloud=new_cloud,
@@ -132,10 +132,10 @@ def _sequence(positions: FloatArray, lines: list[Counts]) -> _Sequence | str:
     doubled = np.exp(2j * np.arctan2(ways[:, 1], ways[:, 0])) * np.linalg.norm(ways, axis=1)
     usual = np.angle(doubled.sum()) / 2
     off = np.abs(np.angle(doubled * np.exp(-2j * usual))) / 2
-    same = sum(len(line) for line, angle in zip(lines, off, strict=True) if angle <= np.radians(MAX_SPREAD_DEG))
-    if same < MIN_SAME_WAY * len(positions):
+    count = sum(len(line) for line, angle in zip(lines, off, strict=True) if angle <= np.radians(MAX_SPREAD_DEG))
+    if count < MIN_SAME_WAY * len(positions):
         return (
-            f"only {same} of {len(positions)} positions lie on flight lines that run one way, and strips of lines need {MIN_SAME_WAY:.0%}."
+            f"only {count} of {len(positions)} positions lie on flight lines that run one way, and strips of lines need {MIN_SAME_WAY:.0%}."
         )
     axis = np.array([-np.sin(usual), np.cos(usual)])
     across, line_of = positions @ axis, np.full(len(positions), -1)
@@ -151,16 +151,18 @@ def _order_of_edges(system: System, cloud: CloudPlan, axis: FloatArray) -> list[
     return sorted(range(len(system.edges)), key=lambda index: (float(cloud.sites[index] @ axis), system.edges[index].id))
 
 
-def _fewest_cuts(found: _Sequence, system: System, order: list[int], bound_s: float, slack: float) -> Counts | None:
+def _fewest_cuts(sequence: _Sequence, system: System, order: list[int], bound_s: float, slack: float) -> Counts | None:
     """Where each device's run ends (D,), for the least slack that cuts as few lines as the whole
     one; None where the cameras do not fit."""
     best: tuple[int, Counts] | None = None
     for tried in np.linspace(slack, 1.0, NUM_SLACKS) if slack > 1 else [1.0]:
         # 1e-9: the bound itself is met by quotas that were rounded once.
         capacities = [
-            capacity for index in order for capacity in _capacities(system.edges[index], len(found.cameras), tried * bound_s * (1 + 1e-9))
+            capacity
+            for index in order
+            for capacity in _capacities(system.edges[index], len(sequence.cameras), tried * bound_s * (1 + 1e-9))
         ]
-        dealt = _deal(found.line, np.array(capacities, np.int64))
+        dealt = _deal(sequence.line, np.array(capacities, np.int64))
         if dealt is None or (best is not None and dealt[0] > best[0]):
             continue
         best = dealt
@@ -227,26 +229,28 @@ def _shifted(values: Counts, places: int, never: int) -> Counts:
     return np.concatenate([np.full(places, never), values[: len(values) - places]])
 
 
-def _plan_of(found: _Sequence, ends: Counts, order: list[int], system: System, cloud: CloudPlan) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    device_of = np.searchsorted(ends, np.arange(len(found.cameras)), side="right")
+def _plan_of(
+    sequence: _Sequence, ends: Counts, order: list[int], system: System, cloud: CloudPlan
+) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    device_of = np.searchsorted(ends, np.arange(len(sequence.cameras)), side="right")
     land = _land(cloud)
-    cuts = _cuts(found.across, ends)
+    cuts = _cuts(sequence.across, ends)
     edges: dict[int, EdgePlan] = {}
     borders: dict[int, FloatArray] = {}
-    edge_of_camera, edge_time_s = np.zeros(len(found.cameras), np.int64), np.zeros(len(system.edges))
+    edge_of_camera, edge_time_s = np.zeros(len(sequence.cameras), np.int64), np.zeros(len(system.edges))
     first = 0
     for index in order:
         edge = system.edges[index]
         last = first + len(edge.devices)
-        own = np.flatnonzero((device_of >= first) & (device_of < last))
-        rows = np.argsort(found.cameras[own])
-        indices, devices = found.cameras[own][rows], device_of[own][rows] - first
+        in_edge = np.flatnonzero((device_of >= first) & (device_of < last))
+        rows = np.argsort(sequence.cameras[in_edge])
+        indices, devices = sequence.cameras[in_edge][rows], device_of[in_edge][rows] - first
         counts = np.bincount(devices, minlength=len(edge.devices))
         edge_of_camera[indices] = index
         edge_time_s[index] = _edge_time_s(edge, counts)
-        borders[index] = _between(land, found.axis, cuts[first], cuts[last]) if len(own) else np.empty((0, 2))
+        borders[index] = _between(land, sequence.axis, cuts[first], cuts[last]) if len(in_edge) else np.empty((0, 2))
         strips = [
-            _between(land, found.axis, cuts[device], cuts[device + 1]) if counts[device - first] else np.empty((0, 2))
+            _between(land, sequence.axis, cuts[device], cuts[device + 1]) if counts[device - first] else np.empty((0, 2))
             for device in range(first, last)
         ]
         edges[index] = EdgePlan(
@@ -258,7 +262,7 @@ def _plan_of(found: _Sequence, ends: Counts, order: list[int], system: System, c
             device_time_s=np.array([float(device_time_s(device, count)) for device, count in zip(edge.devices, counts, strict=True)]),
         )
         first = last
-    sites, weights = _sites(borders, order, found.axis, cloud)
+    sites, weights = _sites(borders, order, sequence.axis, cloud)
     new = replace(
         cloud,
         sites=sites,
@@ -270,7 +274,7 @@ def _plan_of(found: _Sequence, ends: Counts, order: list[int], system: System, c
         certified=False,
         constrained=(*cloud.constrained, "whole flight lines"),
     )
-    return replace(new, num_outside=_num_outside(new, found)), tuple(edges[index] for index in range(len(system.edges)))
+    return replace(new, num_outside=_num_outside(new, sequence)), tuple(edges[index] for index in range(len(system.edges)))
 
 
 def _sites(borders: dict[int, FloatArray], order: list[int], axis: FloatArray, cloud: CloudPlan) -> tuple[FloatArray, FloatArray]:
@@ -335,14 +339,14 @@ def _edge_time_s(edge: Edge, counts: Counts) -> float:
     return slowest_s + joined_s + sent_bytes / edge.uplink_bytes_per_s
 
 
-def _num_outside(cloud: CloudPlan, found: _Sequence) -> int:
+def _num_outside(cloud: CloudPlan, sequence: _Sequence) -> int:
     """Cameras outside of their edge's strip: those of lines that are cut."""
-    place = np.zeros(len(found.cameras))
-    place[found.cameras] = found.across
+    place = np.zeros(len(sequence.cameras))
+    place[sequence.cameras] = sequence.across
     outside = 0
     for index, border in enumerate(cloud.borders):
-        own = place[cloud.edge_of_camera == index]
-        if len(border) and len(own):
-            along = border @ found.axis
-            outside += int(((own < along.min() - 1e-9) | (own > along.max() + 1e-9)).sum())
+        edge_places = place[cloud.edge_of_camera == index]
+        if len(border) and len(edge_places):
+            along = border @ sequence.axis
+            outside += int(((edge_places < along.min() - 1e-9) | (edge_places > along.max() + 1e-9)).sum())
     return outside

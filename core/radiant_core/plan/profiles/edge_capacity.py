@@ -34,7 +34,7 @@ def capacity_curve(edge: Edge, num_cameras: int) -> FittedCurve:
 def edge_without_devices(edge: Edge, num_cameras: int) -> Edge:
     """The same edge as the cloud may receive it: place, fitted curve and how many cameras it holds
     (None: at least `num_cameras`)."""
-    held = edge_table(edge, num_cameras).capacity
+    capacity = edge_table(edge, num_cameras).capacity
     return Edge(
         id=edge.id,
         position=edge.position,
@@ -43,5 +43,5 @@ def edge_without_devices(edge: Edge, num_cameras: int) -> Edge:
         uplink_bytes_per_s=edge.uplink_bytes_per_s,
         devices=(),
         time_s=capacity_curve(edge, num_cameras).curve,
-        max_cameras=held if held < num_cameras else None,
+        max_cameras=capacity if capacity < num_cameras else None,
     )

@@ -47,11 +47,11 @@ class ProfileKey:
         if not self.preset or not self.aggregate_preset:
             raise BadInput("a profile's preset is empty: name the preset it was measured with.")
 
-    def matches_training(self, other: ProfileKey) -> bool:
+    def matches_training(self, key: ProfileKey) -> bool:
         """Whether a device trains alike under both keys."""
-        limits = {self.max_num_splats, other.max_num_splats} - {None}
-        same = same_size(self.long_side_px, other.long_side_px)
-        return (self.preset, self.num_steps) == (other.preset, other.num_steps) and same and len(limits) <= 1
+        limits = {self.max_num_splats, key.max_num_splats} - {None}
+        same_side = same_size(self.long_side_px, key.long_side_px)
+        return (self.preset, self.num_steps) == (key.preset, key.num_steps) and same_side and len(limits) <= 1
 
     def __str__(self) -> str:
         limit = "" if self.max_num_splats is None else f", at most {self.max_num_splats:,} Gaussians"

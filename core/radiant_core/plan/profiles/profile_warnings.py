@@ -26,53 +26,53 @@ def profile_warnings(system: System, quotas: ArrayLike, training: ProfileKey) ->
             users.setdefault(device.profile.name, (device.profile, []))[1].append((device.id, quota))
     sizes = np.cumsum([0, *(len(edge.devices) for edge in system.edges)])
     for index, edge in enumerate(system.edges):
-        own = quotas[sizes[index] : sizes[index + 1]]
-        if edge.profile is not None and own.sum():
-            joiners.setdefault(edge.profile.name, (edge.profile, []))[1].append((edge.id, int(own.sum())))
+        edge_quotas = quotas[sizes[index] : sizes[index + 1]]
+        if edge.profile is not None and edge_quotas.sum():
+            joiners.setdefault(edge.profile.name, (edge.profile, []))[1].append((edge.id, int(edge_quotas.sum())))
     warnings = [sentence for profile, counts in users.values() for sentence in _of_devices(profile, counts, training)]
     return (*warnings, *(sentence for profile, counts in joiners.values() for sentence in _of_edges(profile, counts, training)))
 
 
 def _of_devices(profile: Profile, counts: Sequence[tuple[str, int]], training: ProfileKey) -> list[str]:
     names = _list([name for name, _ in counts], "device")
-    found = _far([(profile.name, curve.largest_count) for curve in profile.device_curves], counts, "device", "times and sizes")
+    sentences = _far([(profile.name, curve.largest_count) for curve in profile.device_curves], counts, "device", "times and sizes")
     if profile.kind == "estimate":
-        found.append(f"the times of {names} are estimates for {profile.machine}, never measured: run `radiant machine profile` there.")
+        sentences.append(f"the times of {names} are estimates for {profile.machine}, never measured: run `radiant machine profile` there.")
     if profile.measured_steps is not None and profile.measured_steps < profile.key.num_steps / 2:
-        found.append(
+        sentences.append(
             f"the times of {names}, profile {profile.name!r}, were measured over {profile.measured_steps:,} steps and multiplied up to "
             f"{profile.key.num_steps:,}: give `radiant machine profile` more --time for better ones."
         )
     if not profile.key.matches_training(training):
-        found.append(
+        sentences.append(
             f"the curves of {names}, profile {profile.name!r}, are of {profile.key}, this plan is for {training}: its times were scaled "
             "from those of another training, run `radiant machine profile` with these settings."
         )
-    return found
+    return sentences
 
 
 def _of_edges(profile: Profile, counts: Sequence[tuple[str, int]], training: ProfileKey) -> list[str]:
     curves = [curve for curve in (profile.aggregate_s, profile.aggregate_alone_s) if curve is not None]
-    found = _far([(profile.name, curve.largest_count) for curve in curves], counts, "edge", "time of aggregation")
+    sentences = _far([(profile.name, curve.largest_count) for curve in curves], counts, "edge", "time of aggregation")
     if profile.key.aggregate_preset != training.aggregate_preset:
-        found.append(
+        sentences.append(
             f"the curves of {_list([name for name, _ in counts], 'edge')}, profile {profile.name!r}, are of aggregation preset "
             f"{profile.key.aggregate_preset}, this plan is for {training.aggregate_preset}: its time of aggregation is another."
         )
-    return found
+    return sentences
 
 
-def _far(ranges: Sequence[tuple[str, int]], counts: Sequence[tuple[str, int]], kind: str, what: str) -> list[str]:
+def _far(ranges: Sequence[tuple[str, int]], counts: Sequence[tuple[str, int]], kind: str, figures: str) -> list[str]:
     name, largest = min(ranges, key=lambda item: item[1])
     far = [(owner, count) for owner, count in counts if count > EXTRAPOLATION * largest]
     if not far:
         return []
     return [
         f"{_list([owner for owner, _ in far], kind)} would get up to {max(count for _, count in far)} photographs, profile {name!r} was "
-        f"made with {largest} at most: the predicted {what} are extrapolated."
+        f"made with {largest} at most: the predicted {figures} are extrapolated."
     ]
 
 
 def _list(names: Sequence[str], kind: str) -> str:
-    shown = ", ".join(names[:_MAX_NAMES]) + (f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else "")
-    return f"{kind}{'s' * (len(names) > 1)} {shown}"
+    names_text = ", ".join(names[:_MAX_NAMES]) + (f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else "")
+    return f"{kind}{'s' * (len(names) > 1)} {names_text}"

@@ -93,8 +93,8 @@ class _Boxes:
             return value / unit_m2, gradient
 
         solver: Any = optimize
-        found = solver.minimize(scaled, np.zeros(len(limits)), jac=True, bounds=[(None, 0.0)] * len(limits))
-        return np.minimum(found.x * unit_m2, 0.0)
+        solved = solver.minimize(scaled, np.zeros(len(limits)), jac=True, bounds=[(None, 0.0)] * len(limits))
+        return np.minimum(solved.x * unit_m2, 0.0)
 
     def slopes(self, weights: FloatArray) -> FloatArray:
         """d counts / d weights (E,E)."""
@@ -132,18 +132,18 @@ def _guess(positions: FloatArray, sites: FloatArray, limits: Indices) -> tuple[I
     best, least = weights, np.inf
     for _ in range(_NEWTON_STEPS):
         excess = _cell_counts(positions, sites, weights) - limits
-        held = (weights < 0) | (excess > 0)
-        wrong = int(np.abs(excess[held]).sum())
+        is_active = (weights < 0) | (excess > 0)
+        wrong = int(np.abs(excess[is_active]).sum())
         if wrong >= least:
             weights = (weights + best) / 2
             continue
         best, least = weights, wrong
         if wrong == 0:
             break
-        slopes = boxes.slopes(weights)[np.ix_(held, held)]
+        slopes = boxes.slopes(weights)[np.ix_(is_active, is_active)]
         ridge = 1e-6 * float(np.trace(slopes)) / len(slopes) + 1e-12 * len(positions) / boxes.unit_m2
         step = np.zeros(len(sites))
-        step[held] = np.linalg.solve(slopes + ridge * np.eye(len(slopes)), excess[held])
+        step[is_active] = np.linalg.solve(slopes + ridge * np.eye(len(slopes)), excess[is_active])
         weights = np.clip(weights - step, -2 * float(boxes.squared_m2.max()), 0.0)
     return _within(_cell_counts(positions, sites, best), limits), best
 
@@ -155,9 +155,9 @@ def _cell_counts(positions: FloatArray, sites: FloatArray, weights: FloatArray) 
 def _within(wanted: Indices, limits: Indices) -> Indices:
     """Counts (E,) cut at the limits; the excess goes to the others in proportion to their room."""
     counts = np.minimum(wanted, limits)
-    room, left = limits - counts, int(wanted.sum() - counts.sum())
-    if left:
-        counts = counts + np.minimum(np.floor(room * (left / room.sum())).astype(np.int64), room)
+    room, excess = limits - counts, int(wanted.sum() - counts.sum())
+    if excess:
+        counts = counts + np.minimum(np.floor(room * (excess / room.sum())).astype(np.int64), room)
         room = limits - counts
         counts += np.diff(np.minimum(np.cumsum(room), wanted.sum() - counts.sum()), prepend=0)
     return counts
@@ -179,13 +179,13 @@ class _Flow:
         self.least_gain = _ROUNDING * 2 * reach_m**2
         # Edges without cameras want none: theirs are the greatest weights that draw no camera away.
         used = self.counts > 0
-        drawn = (dealt.weights[used, None] + self.costs[used]).min(axis=0)
-        self.weights = np.where(used, dealt.weights, drawn)
+        neutral_weights = (dealt.weights[used, None] + self.costs[used]).min(axis=0)
+        self.weights = np.where(used, dealt.weights, neutral_weights)
         """Under which every camera is in its cell, whatever the limits."""
 
     def improve(self) -> int:
         """Take shortest chains until none shortens the sum; returns how many."""
-        taken = 0
+        num_chains = 0
         while (self.counts < self.limits).any():
             distance, following = self._distances(self.counts < self.limits)
             self.weights = -distance
@@ -193,8 +193,8 @@ class _Flow:
             if not distance[first] < -self.least_gain:
                 break
             self._take(first, following)
-            taken += 1
-        return taken
+            num_chains += 1
+        return num_chains
 
     def middle_weights(self) -> FloatArray:
         """Weights (E,) ≤ 0 midway between the extremes that keep every camera in its cell and edges

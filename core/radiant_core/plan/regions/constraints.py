@@ -96,24 +96,24 @@ def deal_around(
     before = weights.copy()
     owner = _given_owners(cameras, sites, weights, ids, fixed, locked, constraints, reference)
     is_open = ~(fixed | locked)
-    given = np.bincount(owner[owner >= 0], minlength=len(ids))
+    decided_counts = np.bincount(owner[owner >= 0], minlength=len(ids))
     free = np.flatnonzero(owner == NOBODY)
-    found = _open_counts(system, given, is_open, len(free))
-    if isinstance(found, str):
-        return found
-    counts = found.counts
+    open_counts = _open_counts(system, decided_counts, is_open, len(free))
+    if isinstance(open_counts, str):
+        return open_counts
+    counts = open_counts.counts
     edges = np.flatnonzero(is_open)
-    dealt = deal_with_counts(cameras[free], sites[edges], (counts - given)[edges], weights=weights[edges])
+    dealt = deal_with_counts(cameras[free], sites[edges], (counts - decided_counts)[edges], weights=weights[edges])
     owner[free] = edges[dealt.edge_of_position] if len(free) else owner[free]
     weights[edges] = dealt.weights
     has_free = np.zeros(len(ids), bool)
-    has_free[edges] = (counts - given)[edges] > 0
+    has_free[edges] = (counts - decided_counts)[edges] > 0
     weights = _fit_weights(cameras, sites, weights, owner, free, (has_free, is_open, fixed, locked))
     # Fewer edges tie the weights less: where nothing changed, those of the reference fit better.
     weights = min((weights, before), key=lambda tried: _worst_violation(cameras, sites, tried, owner))
     words = _sentences(constraints, np.bincount(owner, minlength=len(ids)), ids)
     return ConstrainedDealing(
-        edge_of_camera=owner, weights=weights, edge_time_s=found.edge_time_s, free_violation_m2=dealt.violation_m2, sentences=words
+        edge_of_camera=owner, weights=weights, edge_time_s=open_counts.edge_time_s, free_violation_m2=dealt.violation_m2, sentences=words
     )
 
 
@@ -124,13 +124,13 @@ def counts_at_least(system: System, num_cameras: int, least: Indices) -> Fastest
     active = np.ones(len(least), bool)
     while active.any():
         part = replace(system, edges=tuple(edge for edge, is_active in zip(system.edges, active, strict=True) if is_active))
-        found = fastest_edge_counts(part, num_cameras - int(least[~active].sum()))
+        fastest = fastest_edge_counts(part, num_cameras - int(least[~active].sum()))
         rows = np.flatnonzero(active)
-        counts[rows] = np.maximum(found.counts, least[rows])
-        if (found.counts >= least[rows]).all():
-            times_s[rows] = found.edge_time_s
+        counts[rows] = np.maximum(fastest.counts, least[rows])
+        if (fastest.counts >= least[rows]).all():
+            times_s[rows] = fastest.edge_time_s
             break
-        active[rows[found.counts < least[rows]]] = False
+        active[rows[fastest.counts < least[rows]]] = False
     slow = np.flatnonzero(~active)
     if len(slow):
         times_s[slow] = times_of_counts(System(edges=tuple(system.edges[index] for index in slow)), least[slow])
@@ -158,8 +158,8 @@ def _given_owners(  # noqa: PLR0913
     owner = np.full(len(cameras), NOBODY)
     if locked.any():
         if reference.edge_of_camera is None or len(reference.edge_of_camera) != len(cameras):
-            held = "none" if reference.edge_of_camera is None else f"one of {len(reference.edge_of_camera)}"
-            raise BadInput(f"regions are locked, which needs a plan of these {len(cameras)} cameras to start from; {held} was given.")
+            start_plan = "none" if reference.edge_of_camera is None else f"one of {len(reference.edge_of_camera)}"
+            raise BadInput(f"regions are locked, which needs a plan of these {len(cameras)} cameras to start from; {start_plan} was given.")
         owner = np.where(locked[reference.edge_of_camera], reference.edge_of_camera, owner)
     if fixed.any():
         cell = assign(cameras, sites, weights)
@@ -176,27 +176,27 @@ def _given_owners(  # noqa: PLR0913
     return owner
 
 
-def _open_counts(system: System, given: Indices, is_open: Flags, num_free: int) -> FastestCounts | str:
+def _open_counts(system: System, decided_counts: Indices, is_open: Flags, num_free: int) -> FastestCounts | str:
     """Cameras and time of every edge, or why there is no room."""
-    num_cameras = int(given.sum()) + num_free
-    for edge, count in zip(system.edges, given, strict=True):
+    num_cameras = int(decided_counts.sum()) + num_free
+    for edge, count in zip(system.edges, decided_counts, strict=True):
         # A limit is at least as large as the cameras where the devices' own limits together are.
-        if count and count > (held := system_capacity(System(edges=(edge,)), num_cameras)):
-            return f"the constraints give edge {edge.id!r} {count} cameras, it can hold {held}: unlock or unpin some."
-    closed, times_s = np.flatnonzero(~is_open), np.zeros(len(given))
+        if count and count > (edge_capacity := system_capacity(System(edges=(edge,)), num_cameras)):
+            return f"the constraints give edge {edge.id!r} {count} cameras, it can hold {edge_capacity}: unlock or unpin some."
+    closed, times_s = np.flatnonzero(~is_open), np.zeros(len(decided_counts))
     if len(closed):
-        times_s[closed] = times_of_counts(System(edges=tuple(system.edges[index] for index in closed)), given[closed])
+        times_s[closed] = times_of_counts(System(edges=tuple(system.edges[index] for index in closed)), decided_counts[closed])
     if not is_open.any():
         if num_free:
             return f"all edges are locked or fixed and {num_free} cameras lie in none of their regions: free an edge."
-        return FastestCounts(counts=given, edge_time_s=times_s)
+        return FastestCounts(counts=decided_counts, edge_time_s=times_s)
     part = System(edges=tuple(edge for edge, chosen in zip(system.edges, is_open, strict=True) if chosen))
-    wanted = int(given[is_open].sum()) + num_free
+    wanted = int(decided_counts[is_open].sum()) + num_free
     if (capacity := system_capacity(part, num_cameras)) < wanted:
         return f"the edges that are neither locked nor fixed can hold {capacity} of the {wanted} cameras left to them: free more edges."
-    counts = given.copy()
-    found = counts_at_least(part, wanted, given[is_open])
-    counts[is_open], times_s[is_open] = found.counts, found.edge_time_s
+    counts = decided_counts.copy()
+    fastest = counts_at_least(part, wanted, decided_counts[is_open])
+    counts[is_open], times_s[is_open] = fastest.counts, fastest.edge_time_s
     return FastestCounts(counts=counts, edge_time_s=times_s)
 
 
@@ -207,22 +207,22 @@ def _fit_weights(
     worst camera misses least."""
     has_free, is_open, fixed, locked = groups
     weights = weights.copy()
-    done = has_free.copy()
+    settled = has_free.copy()
     for edge in np.flatnonzero(is_open & ~has_free):
         # Only pinned cameras: as much land as takes no free camera away.
-        powers = _least_powers(cameras[free], sites, weights, done)
+        powers = _least_powers(cameras[free], sites, weights, settled)
         weights[edge] = float((np.sum((cameras[free] - sites[edge]) ** 2, axis=1) - powers).min()) if len(free) else 0.0
-    done |= is_open
-    if fixed.any() and done.any():
+    settled |= is_open
+    if fixed.any() and settled.any():
         inside = np.zeros(len(cameras), bool)
         inside[free] = True
-        weights[done] += _shift(cameras, sites, weights, (inside, done), (fixed[owner], fixed))
-    done |= fixed
+        weights[settled] += _shift(cameras, sites, weights, (inside, settled), (fixed[owner], fixed))
+    settled |= fixed
     for edge in np.flatnonzero(locked):
-        own = np.arange(len(weights)) == edge
-        if done.any():
-            weights[edge] += _shift(cameras, sites, weights, (owner == edge, own), (done[owner], done))
-        done |= own
+        is_edge = np.arange(len(weights)) == edge
+        if settled.any():
+            weights[edge] += _shift(cameras, sites, weights, (owner == edge, is_edge), (settled[owner], settled))
+        settled |= is_edge
     return weights
 
 
@@ -241,8 +241,8 @@ def _shift(cameras: FloatArray, sites: FloatArray, weights: FloatArray, ours: tu
 
 
 def _worst_violation(cameras: FloatArray, sites: FloatArray, weights: FloatArray, owner: Indices) -> float:
-    own = np.sum((cameras - sites[owner]) ** 2, axis=1) - weights[owner]
-    return float((own - _least_powers(cameras, sites, weights, np.ones(len(sites), bool))).max())
+    powers = np.sum((cameras - sites[owner]) ** 2, axis=1) - weights[owner]
+    return float((powers - _least_powers(cameras, sites, weights, np.ones(len(sites), bool))).max())
 
 
 def _least_powers(cameras: FloatArray, sites: FloatArray, weights: FloatArray, edges: Flags) -> FloatArray:

@@ -32,10 +32,10 @@ def place_edges(system: System, positions: ArrayLike, origin_lat_lon_alt: ArrayL
     if not len(positions):
         raise BadInput("no camera positions were given to place the edges among: give at least one.")
     located = [_locate(edge, origin_lat_lon_alt) for edge in system.edges]
-    given = [edge.position for edge in located if edge.position is not None]
-    require_within_reach(positions, np.array(given).reshape(-1, 2))
-    num_free = len(located) - len(given)
-    free = iter(_seeded_positions(positions, np.array(given).reshape(-1, 2), num_free, seed))
+    fixed = [edge.position for edge in located if edge.position is not None]
+    require_within_reach(positions, np.array(fixed).reshape(-1, 2))
+    num_free = len(located) - len(fixed)
+    free = iter(_seeded_positions(positions, np.array(fixed).reshape(-1, 2), num_free, seed))
     edges = [edge if edge.position is not None else _move_to(edge, next(free)) for edge in located]
     return replace(system, edges=tuple(edges))
 
@@ -76,20 +76,20 @@ def _move_to(edge: Edge, position: FloatArray) -> Edge:
     return replace(edge, position=(float(position[0]), float(position[1])))
 
 
-def _seeded_positions(positions: FloatArray, given: FloatArray, num_free: int, seed: int) -> FloatArray:
-    """Positions (num_free,2) m of the edges that may stand anywhere, beside given ones (G,2) m."""
+def _seeded_positions(positions: FloatArray, fixed: FloatArray, num_free: int, seed: int) -> FloatArray:
+    """Positions (num_free,2) m of the edges that may stand anywhere, beside `fixed` (G,2) m."""
     rng = np.random.default_rng(seed)
-    sites = given
+    sites = fixed
     for _ in range(num_free):
         sites = np.vstack([sites, _next_seed(positions, sites, rng)])
     for _ in range(_LLOYD_ROUNDS if num_free else 0):
         cell = assign(positions, sites, np.zeros(len(sites)))
         counts = np.bincount(cell, minlength=len(sites))
         sums = np.stack([np.bincount(cell, weights=axis, minlength=len(sites)) for axis in positions.T], axis=1)
-        moves = (counts > 0) & (np.arange(len(sites)) >= len(given))
+        moves = (counts > 0) & (np.arange(len(sites)) >= len(fixed))
         sites = np.where(moves[:, None], sums / np.maximum(counts, 1)[:, None], sites)
     # A mean of equal coordinates may leave the box by a rounding error.
-    return np.clip(sites[len(given) :], positions.min(axis=0), positions.max(axis=0))
+    return np.clip(sites[len(fixed) :], positions.min(axis=0), positions.max(axis=0))
 
 
 def _next_seed(positions: FloatArray, sites: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -74,7 +74,7 @@ def move_borders(
     before, or the limit; the last cells (C,), and max|T − T̄| / T̄ before each iteration."""
     offsets, length, last_turn = np.zeros(len(tables)), 1.0, np.zeros(len(tables))
     history: list[float] = []
-    seen: set[bytes] = set()
+    visited: set[bytes] = set()
     while True:
         edge_of_camera = cells(offsets)
         times_s = estimated_times_s(tables, np.bincount(edge_of_camera[edge_of_camera >= 0], minlength=len(tables)))
@@ -82,9 +82,9 @@ def move_borders(
         outlier = int(np.abs(gaps_s).argmax())
         history.append(float(abs(gaps_s[outlier]) / times_s.mean()) if times_s.mean() > 0 else 0.0)
         state = offsets.tobytes() + np.float64(length).tobytes()
-        if abs(gaps_s[outlier]) <= threshold_s(times_s) or state in seen or len(history) > max_iterations:
+        if abs(gaps_s[outlier]) <= threshold_s(times_s) or state in visited or len(history) > max_iterations:
             return edge_of_camera, tuple(history)
-        seen.add(state)
+        visited.add(state)
         turn = -np.sign(gaps_s[outlier])
         if halved and last_turn[outlier] == -turn:
             length /= 2

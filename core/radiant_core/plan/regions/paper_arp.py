@@ -44,7 +44,7 @@ def paper_regions(
     steps = np.zeros(len(sites), dtype=np.int64)
     best, best_key = steps, (np.inf, np.inf)
     history: list[float] = []
-    seen: set[bytes] = set()
+    visited: set[bytes] = set()
     while True:
         counts = np.bincount(assign(positions, sites, steps * weight_of_step), minlength=len(sites))
         times_s = estimated_times_s(tables, counts)
@@ -54,9 +54,9 @@ def paper_regions(
             best, best_key = steps, key
         gaps_s = times_s - times_s.mean()
         converged = bool(np.abs(gaps_s).max() <= config.threshold * times_s.mean())
-        if converged or len(history) > config.max_iterations or steps.tobytes() in seen:
+        if converged or len(history) > config.max_iterations or steps.tobytes() in visited:
             break
-        seen.add(steps.tobytes())
+        visited.add(steps.tobytes())
         steps = steps.copy()
         outlier = int(np.abs(gaps_s).argmax())
         steps[outlier] += -1 if gaps_s[outlier] > 0 else 1

@@ -143,8 +143,8 @@ def plan_regions(  # noqa: PLR0913
         partition = _partition(method, plane, system, paper)
     counts = np.bincount(partition.edge_of_camera, minlength=len(system.edges))
     for edge, count in zip(system.edges, counts, strict=True):
-        if count > (held := system_capacity(System(edges=(edge,)), num_cameras)):
-            reason = f"method {method} gives edge {edge.id!r} {count} cameras, it can hold {held}: use method exact."
+        if count > (edge_capacity := system_capacity(System(edges=(edge,)), num_cameras)):
+            reason = f"method {method} gives edge {edge.id!r} {count} cameras, it can hold {edge_capacity}: use method exact."
             return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=reason)
     plan = _cloud_plan(method, system, plane, partition, fastest, paper.threshold)
     return replace(plan, slack=slack)
@@ -233,7 +233,7 @@ def _require_options(method: PlanMethod, tolerance: float, slack: float | None, 
     if slack is not None and not (np.isfinite(slack) and slack >= 1):
         raise BadInput(f"slack is {slack}, expected a finite factor of at least 1 on the shortest makespan.")
     chosen = [
-        name for name, given in (("tolerance", tolerance > 0), ("slack", slack is not None), ("constraints", bool(constraints))) if given
+        name for name, is_set in (("tolerance", tolerance > 0), ("slack", slack is not None), ("constraints", bool(constraints))) if is_set
     ]
     if len(chosen) > 1:
         raise BadInput(f"{' and '.join(chosen)} are given together: choose one of them.")
@@ -369,10 +369,10 @@ def _close_unused(weights: FloatArray, counts: NDArray[np.int64], plane: _Plane)
     trained. ‖x − P_e‖² − ‖x − P_j‖² is linear in x: an edge that loses to one used edge j at all
     corners loses everywhere; it loses by a squared side length more, which no rounding undoes."""
     weights = weights.copy()
-    other = int(counts.argmax())
+    largest = int(counts.argmax())
     for edge in np.flatnonzero(counts == 0):
-        to_edge, to_other = (np.sum((plane.outline - plane.sites[index]) ** 2, axis=1) for index in (edge, other))
-        weights[edge] = min(weights[edge], weights[other] + float((to_edge - to_other).min()) - plane.side_m**2)
+        to_edge, to_largest = (np.sum((plane.outline - plane.sites[index]) ** 2, axis=1) for index in (edge, largest))
+        weights[edge] = min(weights[edge], weights[largest] + float((to_edge - to_largest).min()) - plane.side_m**2)
     return weights
 
 

@@ -48,9 +48,9 @@ def deal_with_counts(
     plan, to start from. Use coordinates about a local origin. Raises BadInput unless the counts are
     not negative and sum to the cameras."""
     counts = check_array("counts", counts, (len(sites),), np.int64)
-    given = None if multiplicities is None else check_array("multiplicities", multiplicities, (len(positions),), np.int64)
-    num_cameras = len(positions) if given is None else int(given.sum())
-    if counts.min(initial=0) < 0 or (given is not None and given.min(initial=0) < 0) or counts.sum() != num_cameras:
+    camera_counts = None if multiplicities is None else check_array("multiplicities", multiplicities, (len(positions),), np.int64)
+    num_cameras = len(positions) if camera_counts is None else int(camera_counts.sum())
+    if counts.min(initial=0) < 0 or (camera_counts is not None and camera_counts.min(initial=0) < 0) or counts.sum() != num_cameras:
         raise BadInput(f"counts sum to {counts.sum()} for {num_cameras} cameras: give counts of at least 0 that sum to the cameras.")
     used = np.flatnonzero(counts)
     out_weights = np.zeros(len(sites))
@@ -64,10 +64,15 @@ def deal_with_counts(
             num_paths=0,
         )
     start = np.zeros(len(used)) if weights is None else np.ascontiguousarray(weights[used])
-    cells, parts, found, violation_m2, rounds, paths = deal_to_cells(
-        np.ascontiguousarray(positions), given, np.ascontiguousarray(sites[used]), counts[used], start - start.mean(), weights is not None
+    cells, parts, dual_weights, violation_m2, rounds, paths = deal_to_cells(
+        np.ascontiguousarray(positions),
+        camera_counts,
+        np.ascontiguousarray(sites[used]),
+        counts[used],
+        start - start.mean(),
+        weights is not None,
     )
-    out_weights[used] = found - found.mean()
+    out_weights[used] = dual_weights - dual_weights.mean()
     edge_of_position = np.where(cells >= 0, used[cells], -1)
     parts = np.stack([parts[:, 0], used[parts[:, 1]], parts[:, 2]], axis=1)
     return Dealt(

@@ -108,9 +108,9 @@ def extend_system(system: System, joining: System) -> System:
     """The system with further edges, or further devices at edges it has; BadInput where an id comes
     twice or nothing joins."""
     new = {edge.id: edge for edge in joining.edges}
-    known = {edge.id for edge in system.edges}
+    edge_ids = {edge.id for edge in system.edges}
     grown = tuple(replace(edge, devices=(*edge.devices, *(new[edge.id].devices if edge.id in new else ()))) for edge in system.edges)
-    return replace(system, edges=(*grown, *(edge for edge in joining.edges if edge.id not in known)))
+    return replace(system, edges=(*grown, *(edge for edge in joining.edges if edge.id not in edge_ids)))
 
 
 def replan(  # noqa: PLR0913
@@ -151,12 +151,12 @@ def replan(  # noqa: PLR0913
     if not num_positions:
         reason = f"all {len(lost)} positions were captured by devices that are dead: plan them anew."
         return ReplanInfeasible(num_positions=len(lost), capacity=0, reason=reason)
-    found = solve_counts(loads, num_positions, tolerance)
-    if found is None:
+    solved_counts = solve_counts(loads, num_positions, tolerance)
+    if solved_counts is None:
         return _infeasible(loads, num_positions)
-    quotas = _per_device(slowed, change, found)
+    quotas = _per_device(slowed, change, solved_counts)
     after = _deal(positions, before, must_stay, quotas, slowed)
-    return _result(cloud_plan, edge_plans, positions, slowed, change, (before, after, lost), (loads, found))
+    return _result(cloud_plan, edge_plans, positions, slowed, change, (before, after, lost), (loads, solved_counts))
 
 
 def _expand_edges(change: FleetChange, system: System) -> FleetChange:
@@ -171,8 +171,8 @@ def _expand_edges(change: FleetChange, system: System) -> FleetChange:
         return names.union(*(members[name] for name in names if name not in devices))
 
     busy_s = {device: seconds for name, seconds in change.busy_s.items() for device in ({name} & devices or members[name])}
-    made = {name: spread(getattr(change, name)) for name in ("dead", "done", "closed")}
-    return replace(change, busy_s=busy_s, **made)
+    devices_by_state = {name: spread(getattr(change, name)) for name in ("dead", "done", "closed")}
+    return replace(change, busy_s=busy_s, **devices_by_state)
 
 
 def _slow_down(system: System, change: FleetChange) -> System:
@@ -239,26 +239,26 @@ def _infeasible(loads: Sequence[EdgeLoad], num_positions: int) -> ReplanInfeasib
     return ReplanInfeasible(num_positions=num_positions, capacity=capacity, reason=reason)
 
 
-def _per_device(system: System, change: FleetChange, found: SolvedCounts) -> Indices:
+def _per_device(system: System, change: FleetChange, solved_counts: SolvedCounts) -> Indices:
     quotas: list[int] = []
-    for edge, living in zip(system.edges, found.quotas, strict=True):
-        rest = iter(living)
-        quotas += [0 if device.id in change.dead else next(rest) for device in edge.devices]
+    for edge, living in zip(system.edges, solved_counts.quotas, strict=True):
+        living_quotas = iter(living)
+        quotas += [0 if device.id in change.dead else next(living_quotas) for device in edge.devices]
     return np.array(quotas)
 
 
 def _deal(positions: FloatArray, before: Indices, must_stay: NDArray[np.bool_], quotas: Indices, system: System) -> Indices:
     """Device (P,) of every position: quotas (D,) kept, with the fewest moves, to near devices."""
-    held = np.bincount(before, minlength=len(quotas))
+    counts_before = np.bincount(before, minlength=len(quotas))
     lost = np.bincount(before[must_stay], minlength=len(quotas)) * (quotas == 0)
-    gains, losses = np.maximum(0, quotas - held), np.maximum(0, held - lost - quotas)
+    gains, losses = np.maximum(0, quotas - counts_before), np.maximum(0, counts_before - lost - quotas)
     after = before.copy()
     if not gains.any():
         return after
     centres = _centres(positions, before, system)
     candidates = np.flatnonzero((losses[before] > 0) & ~must_stay)
     after[candidates] = _transport(positions[candidates], before[candidates], centres, gains, losses)
-    return _deal_new_in_strips(positions, before, after, held, system)
+    return _deal_new_in_strips(positions, before, after, counts_before, system)
 
 
 def _centres(positions: FloatArray, before: Indices, system: System) -> FloatArray:
@@ -285,9 +285,9 @@ def _transport(points: FloatArray, owners: Indices, centres: FloatArray, gains: 
     movable = np.bincount(owners, minlength=len(losses))
     emptied = losers[movable[losers] == losses[losers]]
     for group in [group for group in (emptied, *(losers[losers == n] for n in losers if n not in emptied)) if len(group)]:
-        own = np.flatnonzero(np.isin(owners, group))
+        rows = np.flatnonzero(np.isin(owners, group))
         part = _share_gains(open_gains, int(losses[group].sum()))
-        after[own] = _transport(points[own], owners[own], centres, part, losses * np.isin(np.arange(len(losses)), group))
+        after[rows] = _transport(points[rows], owners[rows], centres, part, losses * np.isin(np.arange(len(losses)), group))
         open_gains = open_gains - part
     return after
 
@@ -330,22 +330,22 @@ def _solve_linear_program(points: FloatArray, owners: Indices, centres: FloatArr
         method="highs-ds",
     )
     assert solved.x is not None, "as many leave as arrive"
-    taken: FloatArray = solved.x.reshape(num_points, num_receivers)
-    return np.where(taken.max(axis=1) > 0.5, receivers[taken.argmax(axis=1)], owners)
+    flows: FloatArray = solved.x.reshape(num_points, num_receivers)
+    return np.where(flows.max(axis=1) > 0.5, receivers[flows.argmax(axis=1)], owners)
 
 
-def _deal_new_in_strips(positions: FloatArray, before: Indices, after: Indices, held: Indices, system: System) -> Indices:
+def _deal_new_in_strips(positions: FloatArray, before: Indices, after: Indices, counts_before: Indices, system: System) -> Indices:
     """Deal the positions that new devices of one edge received together to them, in strips along
     the long side."""
     first = 0
     for edge in system.edges:
-        new = [index for index in range(first, first + len(edge.devices)) if not held[index]]
+        new = [index for index in range(first, first + len(edge.devices)) if not counts_before[index]]
         first += len(edge.devices)
-        own = np.flatnonzero(np.isin(after, new) & (after != before))
-        if len(new) > 1 and len(own):
-            counts = np.bincount(after[own], minlength=len(held))[new]
-            order = np.argsort((positions[own] - positions[own].mean(axis=0)) @ long_axis(positions[own]), kind="stable")
-            after[own[order]] = np.repeat(new, counts)
+        rows = np.flatnonzero(np.isin(after, new) & (after != before))
+        if len(new) > 1 and len(rows):
+            counts = np.bincount(after[rows], minlength=len(counts_before))[new]
+            order = np.argsort((positions[rows] - positions[rows].mean(axis=0)) @ long_axis(positions[rows]), kind="stable")
+            after[rows[order]] = np.repeat(new, counts)
     return after
 
 
@@ -359,24 +359,24 @@ def _result(  # noqa: PLR0913
     counted: tuple[list[EdgeLoad], SolvedCounts],
 ) -> Replan:
     before, after, lost = dealt
-    loads, found = counted
+    loads, solved_counts = counted
     edge_of_device = np.repeat(np.arange(len(system.edges)), [len(edge.devices) for edge in system.edges])
     times = [_times_s(system, loads, owner, lost) for owner in (before, after)]
     grown = len(system.edges) > len(cloud_plan.edge_ids)
     regions = cloud_plan
     if grown or (edge_of_device[before] != edge_of_device[after]).any():
         regions = regions_with_counts(positions[~lost], edge_of_device[after[~lost]], system)
-    edge_time_s = np.array([load.time_s(quotas) for load, quotas in zip(loads, found.quotas, strict=True)])
+    edge_time_s = np.array([load.time_s(quotas) for load, quotas in zip(loads, solved_counts.quotas, strict=True)])
     makespan_s = float(edge_time_s.max())
     middle = positions.mean(axis=0)
     certified = is_certified(positions[~lost] - middle, regions.sites - middle, regions.weights, edge_of_device[after[~lost]])
-    at_bound = makespan_s <= found.deadline_s * (1 + ROUNDING)
+    at_bound = makespan_s <= solved_counts.deadline_s * (1 + ROUNDING)
     cloud = replace(
         regions,
         method="replan",
         edge_of_camera=edge_of_device[after],
         edge_time_s=edge_time_s,
-        lower_bound_s=found.deadline_s,
+        lower_bound_s=solved_counts.deadline_s,
         status="optimal" if at_bound and certified else "converged" if at_bound else "stopped",
         certified=certified,
         history=(makespan_s,),
@@ -392,7 +392,7 @@ def _result(  # noqa: PLR0913
         time_before_s=times[0],
         time_after_s=times[1],
         makespan_before_s=_makespan_s(loads, system, before[~lost], change),
-        fewest_proved=found.proved,
+        fewest_proved=solved_counts.proved,
     )
 
 
@@ -421,18 +421,18 @@ def _edge_plans(
     first = 0
     for edge in system.edges:
         last = first + len(edge.devices)
-        own = np.flatnonzero((after >= first) & (after < last))
+        rows = np.flatnonzero((after >= first) & (after < last))
         owned = (before >= first) & (before < last)
         old = old_of.get(edge.id)
         ids = tuple(device.id for device in edge.devices)
-        untouched = old is not None and old.device_ids == ids and (before[owned] == after[owned]).all() and len(own) == owned.sum()
+        untouched = old is not None and old.device_ids == ids and (before[owned] == after[owned]).all() and len(rows) == owned.sum()
         hulls = tuple(hull_of(positions[after == index]) for index in range(first, last))
         plans.append(
             EdgePlan(
                 edge_id=edge.id,
                 device_ids=ids,
-                camera_indices=own,
-                device_of_camera=after[own] - first,
+                camera_indices=rows,
+                device_of_camera=after[rows] - first,
                 strips=old.strips if old is not None and untouched else hulls,
                 device_time_s=np.where(np.isfinite(time_s[first:last]), time_s[first:last], 0.0),
             )

@@ -105,8 +105,8 @@ def solve_counts(loads: Sequence[EdgeLoad], num_positions: int, tolerance: float
     allowed_s = least_s * (1 + tolerance) * (1 + ROUNDING)
     extra = np.bincount(owners, minlength=len(tables))
     choices = [_Choices(table, allowed_s) for table in tables]
-    taken, fewest = _distribute(choices, num_positions, extra)
-    quotas = [choice.quotas(count) for choice, count in zip(choices, taken, strict=True)]
+    edge_counts, fewest = _distribute(choices, num_positions, extra)
+    quotas = [choice.quotas(count) for choice, count in zip(choices, edge_counts, strict=True)]
     proved = fewest and all(table.uniform for table in tables)
     return SolvedCounts(quotas=tuple(tuple(row) for row in quotas), deadline_s=least_s, proved=proved)
 
@@ -143,8 +143,8 @@ class _Table:
         """F_m(c) + Σ H / B^m (K+1,) with the quotas of the fastest devices."""
         position = np.zeros(len(self.owners), np.int64)
         for index in range(len(self.rooms)):
-            own = self.owners == index
-            position[own] = np.arange(int(own.sum()))
+            is_owner = self.owners == index
+            position[is_owner] = np.arange(int(is_owner.sum()))
         starts = np.cumsum([0, *self.rooms])[self.owners]
         grown = np.concatenate(growth)[starts + position] if len(self.owners) else np.zeros(0)
         fixed_bytes = sum(float(m.device.model_bytes(m.fixed)) for m in self.load.machines)
@@ -174,8 +174,8 @@ class _Choices:
             [m.fixed + np.searchsorted(slots, ready_s, side="right") for m, slots in zip(load.machines, table.slot_s, strict=True)]
             or [np.zeros(size, np.int64)]
         )
-        held = np.array([m.now for m in load.machines] or [0])
-        forced = np.maximum(0, held[:, None] - self.caps).sum(axis=0)
+        counts_now = np.array([m.now for m in load.machines] or [0])
+        forced = np.maximum(0, counts_now[:, None] - self.caps).sum(axis=0)
         self.leaving = np.maximum(forced, load.now - self.counts)
         # The last count at which one position more still saves a move.
         self.first = int(np.flatnonzero(forced <= load.now - self.counts)[-1]) if size else 0
@@ -213,18 +213,18 @@ class _Choices:
 def _distribute(choices: Sequence[_Choices], num_positions: int, fastest: Indices) -> tuple[list[int], bool]:
     """Positions of each edge with the fewest moves, nearer edges first; whether that is proved."""
     firsts = [int(choice.counts[choice.first]) for choice in choices]
-    left = num_positions - sum(firsts)
+    num_left = num_positions - sum(firsts)
     free = [int(np.searchsorted(choice.extra_cost, 0, side="right")) - 1 for choice in choices]
     nearest = sorted(range(len(choices)), key=lambda index: choices[index].table.load.distance_m)
-    if sum(free) >= left:
+    if sum(free) >= num_left:
         for index in nearest:
-            step = min(left, free[index])
+            step = min(num_left, free[index])
             firsts[index] += step
-            left -= step
+            num_left -= step
         return firsts, True
-    if len(choices) * left * left > MAX_STEPS:
+    if len(choices) * num_left * num_left > MAX_STEPS:
         return [int(c.table.load.fixed + more) for c, more in zip(choices, fastest.tolist(), strict=True)], False
-    return [first + more for first, more in zip(firsts, _distribute_cheapest(choices, left), strict=True)], True
+    return [first + more for first, more in zip(firsts, _distribute_cheapest(choices, num_left), strict=True)], True
 
 
 def _distribute_cheapest(choices: Sequence[_Choices], total: int) -> list[int]:
@@ -237,18 +237,18 @@ def _distribute_cheapest(choices: Sequence[_Choices], total: int) -> list[int]:
         cost = choice.extra_cost[: total + 1]
         # Distances together weigh less than one move.
         cost = cost + np.arange(len(cost)) * (0.4 * choice.table.load.distance_m / farthest_m / max(total, 1))
-        new, taken = np.full(total + 1, np.inf), np.zeros(total + 1, np.int64)
+        new, increments = np.full(total + 1, np.inf), np.zeros(total + 1, np.int64)
         for more, price in enumerate(cost.tolist()):
             candidate = best[: total + 1 - more] + price
             better = candidate < new[more:]
             new[more:][better] = candidate[better]
-            taken[more:][better] = more
+            increments[more:][better] = more
         best = new
-        chosen.append(taken)
+        chosen.append(increments)
     assert np.isfinite(best[total]), "the tables let through all positions"
     counts: list[int] = []
-    for taken in reversed(chosen):
-        counts.append(int(taken[total]))
+    for increments in reversed(chosen):
+        counts.append(int(increments[total]))
         total -= counts[-1]
     return counts[::-1]
 

@@ -169,7 +169,7 @@ def correct_system(system: System, planned: Iterable[PlannedStage], measured: Se
 
 
 def time_left_s(
-    expected_s: Mapping[str, float], parents: Mapping[str, str], running_s: Mapping[str, float], done: Iterable[str], num_workers: int
+    expected_s: Mapping[str, float], parents: Mapping[str, str], running_s: Mapping[str, float], ended: Iterable[str], num_workers: int
 ) -> float:
     """Seconds until all nodes are done on `num_workers` processes of one machine, those that may
     start taken in order.
@@ -180,7 +180,7 @@ def time_left_s(
     """
     if num_workers < 1:
         raise BadInput(f"{num_workers} workers cannot do anything: give at least one.")
-    finished = set(done)
+    finished = set(ended)
     ends = {node: max(0.0, expected_s[node] - spent) for node, spent in running_s.items() if node in expected_s and node not in finished}
     waiting = [node for node in expected_s if node not in finished and node not in ends]
     now_s = 0.0
@@ -207,12 +207,12 @@ def _factors(curves_of: Mapping[str, tuple[CostCurve, ...]], ratio_of: Mapping[s
     """How each machine's curves are scaled: by its class, else by proportional curves, else not."""
     factors: dict[str, float] = {}
     for node, curves in curves_of.items():
-        alike = [ratio_of[other] for other, theirs in curves_of.items() if other in ratio_of and theirs == curves]
+        alike = [ratio_of[machine] for machine, theirs in curves_of.items() if machine in ratio_of and theirs == curves]
         if node in ratio_of:
             alike = [ratio_of[node]]
         elif not alike:
             shape = curve_shape(curves)
-            alike = [ratio_of[other] for other, theirs in curves_of.items() if other in ratio_of and curve_shape(theirs) == shape]
+            alike = [ratio_of[machine] for machine, theirs in curves_of.items() if machine in ratio_of and curve_shape(theirs) == shape]
         factors[node] = float(np.median(alike)) if alike else 1.0
     return factors
 

@@ -21,7 +21,7 @@ import numpy as np
 from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.system import Device, Edge, System
 
-BESIDE, STEP, AT_EDGE, AT_EDGE_LATER, AT_CLOUD = 1.2, 1.4, 1.0, 0.5, 0.5
+OVERHEAD, STEP, AT_EDGE, AT_EDGE_LATER, AT_CLOUD = 1.2, 1.4, 1.0, 0.5, 0.5
 """Factors of what a device needs beside training, of its training by the share of steps, and of the
 first at an edge, in the first round and later, and at the cloud."""
 LEAST_DEVICES = 2
@@ -40,7 +40,7 @@ class RefiningLaw:
 
 def predict_round(law: RefiningLaw, *, beside_s: float, train_s: float, num_photographs: int) -> float:
     """Seconds of a device in one round, by what it needs beside training and in training."""
-    return BESIDE * beside_s + STEP * train_s * law.share_of_training(num_photographs)
+    return OVERHEAD * beside_s + STEP * train_s * law.share_of_training(num_photographs)
 
 
 def predict_refining(system: System, edge_plans: Sequence[EdgePlan], law: RefiningLaw, *, with_sending: bool = True) -> float:

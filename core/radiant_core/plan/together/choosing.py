@@ -115,8 +115,8 @@ def choose_within(edge: Edge, plan: EdgePlan, rules: GroupRules, *, refining_s: 
 
     links = [device.uplink_bytes_per_s for device in edge.devices if device.id in views]
     cost = step_cost([edge], None, views, num_photographs, rules.law)
-    asked = _Asked(topic=WITHIN, about=about, wanted=rules.within, law=rules.law, assumed=_assumed([edge]))
-    return _chosen(asked, group_at(1.0), cost, joined_s, _level_links(difference_s, min(links)))
+    case = _Case(topic=WITHIN, about=about, wanted=rules.within, law=rules.law, assumed=_assumed([edge]))
+    return _chosen(case, group_at(1.0), cost, joined_s, _level_links(difference_s, min(links)))
 
 
 def choose_between(system: System, edge_plans: Sequence[EdgePlan], within: Sequence[GroupChoice], rules: GroupRules) -> GroupChoice:
@@ -149,12 +149,12 @@ def choose_between(system: System, edge_plans: Sequence[EdgePlan], within: Seque
 
     cost = step_cost([edge for edge, _ in busy], system.cloud, views, num_photographs, rules.law)
     assumed = _assumed([*(edge for edge, _ in busy), system.cloud])
-    asked = _Asked(topic=BETWEEN, about="all edges", wanted=rules.between, law=rules.law, assumed=assumed)
-    return _chosen(asked, group_at(1.0), cost, joined_s, _level_links(difference_s, min(edge.uplink_bytes_per_s for edge, _ in busy)))
+    case = _Case(topic=BETWEEN, about="all edges", wanted=rules.between, law=rules.law, assumed=assumed)
+    return _chosen(case, group_at(1.0), cost, joined_s, _level_links(difference_s, min(edge.uplink_bytes_per_s for edge, _ in busy)))
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Asked:
+class _Case:
     topic: str
     about: str
     wanted: TrainedAs
@@ -168,12 +168,12 @@ def _assumed(machines: Sequence[Edge | Cloud]) -> str:
     return f"; a latency of {1000 * LATENCY_S:g} ms is assumed, as none was measured" if unknown else ""
 
 
-def _chosen(asked: _Asked, group: GroupPlan, cost: StepCost, joined_s: float, level_bytes_per_s: float | None) -> GroupChoice:
-    by_links = asked.law.view_s is not None
+def _chosen(case: _Case, group: GroupPlan, cost: StepCost, joined_s: float, level_bytes_per_s: float | None) -> GroupChoice:
+    by_links = case.law.view_s is not None
     worth_it = cost.step_s < 2 * WORTH * cost.views_s if by_links else group.seconds < WORTH * joined_s
-    together = asked.wanted == "together" or (asked.wanted == "auto" and worth_it)
-    each = " + ".join(map(str, group.views.values())) if len(group.views) <= 8 else f"{group.views_a_step}"
-    who = f"{asked.about}: {len(group.views)} devices train together, {each} views a step"
+    together = case.wanted == "together" or (case.wanted == "auto" and worth_it)
+    views_text = " + ".join(map(str, group.views.values())) if len(group.views) <= 8 else f"{group.views_a_step}"
+    who = f"{case.about}: {len(group.views)} devices train together, {views_text} views a step"
     sent = f"a step sends {_megabytes(cost.up_bytes)} up and {_megabytes(cost.down_bytes)} down"
     figures: tuple[float, str] = group.seconds, f"s together, {joined_s:.1f} s joined"
     took = f"{sent}, {_ms(cost.exchange_s)} beside {_ms(cost.views_s)} of views"
@@ -184,17 +184,17 @@ def _chosen(asked: _Asked, group: GroupPlan, cost: StepCost, joined_s: float, le
     elif level_bytes_per_s is None:
         reason = took
     else:
-        links = "" if asked.topic == WITHIN else " of the edges' links"
+        links = "" if case.topic == WITHIN else " of the edges' links"
         at = f"at {level_bytes_per_s * 8 / 1e6:,.3g} Mbit/s{links}"
         reason = f"{took}; {at} it would take {WORTH:g} times as long as joining, which its quality is worth"
     decision = Decision(
         stage=STAGE,
-        topic=asked.topic,
-        choice=who if together else f"{asked.about}: models are joined",
+        topic=case.topic,
+        choice=who if together else f"{case.about}: models are joined",
         figure=figures[0],
         unit=figures[1],
-        reason=reason + asked.assumed,
-        forced=asked.wanted != "auto",
+        reason=reason + case.assumed,
+        forced=case.wanted != "auto",
     )
     return GroupChoice(decision=decision, group=group if together else None, seconds=group.seconds if together else joined_s)
 
@@ -254,8 +254,8 @@ def _views(devices: Sequence[Device], busy: Sequence[tuple[Edge, EdgePlan]], rul
         plan_of = {name: plan for _, plan in busy for name in plan.device_ids}
         weights = [float(len(plan_of[device.id].cameras_of(device.id))) for device in devices]
     views = choose_views(weights, may_idle=rules.photographs_move)
-    held = [inf if device.max_cameras is None else device.max_cameras for device, count in zip(devices, views, strict=True) if count]
-    if sum(held) < num_photographs:
+    capacities = [inf if device.max_cameras is None else device.max_cameras for device, count in zip(devices, views, strict=True) if count]
+    if sum(capacities) < num_photographs:
         views = choose_views(weights)
     return {device.id: count for device, count in zip(devices, views, strict=True) if count}
 

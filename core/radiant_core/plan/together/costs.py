@@ -177,14 +177,14 @@ def step_cost(edges: Sequence[Edge], cloud: Cloud | None, views: Mapping[str, in
 def _at_edge(edge: Edge, views: Mapping[str, int], num_photographs: int, law: TogetherLaw, splats_and_down: tuple[float, float]) -> _AtEdge:
     num_splats, down_bytes = splats_and_down
     latency_s, sent, ready_s, down_s = latency_of(edge), 0.0, 0.0, 0.0
-    own = [device for device in edge.devices if device.id in views]
-    for device in own:
+    devices = [device for device in edge.devices if device.id in views]
+    for device in devices:
         up_bytes = law.sent_bytes(num_splats, views[device.id], num_photographs)
         sent += up_bytes
         rendered_s = views[device.id] * law.device_view_s(device, num_photographs)
         ready_s = max(ready_s, rendered_s + up_bytes / device.uplink_bytes_per_s)
         down_s = max(down_s, down_bytes / device.uplink_bytes_per_s)
-    of_edge = law.row_bytes * num_splats * shown_share(sum(views[device.id] for device in own), num_photographs)
+    of_edge = law.row_bytes * num_splats * shown_share(sum(views[device.id] for device in devices), num_photographs)
     return _AtEdge(up_s=ready_s + latency_s + adding_of(edge) * sent, device_down_s=latency_s + down_s, rows=of_edge)
 
 

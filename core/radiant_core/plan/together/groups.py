@@ -30,7 +30,7 @@ BALANCED = 1.1
 """A step may last so many times what it would with views that could be divided."""
 MOST_VIEWS_EACH = 2
 """Views of a step over devices, at most, where speeds are not equal."""
-_SAME = 1e-9
+_ROUNDING = 1e-9
 """Relative difference that is rounding."""
 
 
@@ -64,8 +64,8 @@ class GroupPlan:
         if len(self.views) < 2 or min(self.views.values()) < 1:
             raise BadInput(f"a group trains with the views {dict(self.views)}: expected two devices or more with at least one view each.")
         if min(self.num_steps, self.num_photographs) < 1 or not 0 < self.step_s < np.inf:
-            said = f"{self.num_steps} steps of {self.step_s} s on {self.num_photographs} photographs"
-            raise BadInput(f"a group trains {said}: expected at least one of each, and a positive time.")
+            training = f"{self.num_steps} steps of {self.step_s} s on {self.num_photographs} photographs"
+            raise BadInput(f"a group trains {training}: expected at least one of each, and a positive time.")
         if not (0 <= self.start_s < np.inf and 0 <= self.end_s < np.inf):
             raise BadInput(f"a group takes {self.start_s} s before its steps and {self.end_s} s after: expected times of at least 0.")
 
@@ -111,10 +111,10 @@ def choose_views(speeds: Sequence[float], *, may_idle: bool = False) -> tuple[in
     best, most = tuple[int, ...](), 0.0
     for num_working in _numbers_working([speeds[device] for device in order]) if may_idle else [len(speeds)]:
         working = sorted(order[:num_working])
-        own = [speeds[device] for device in working]
-        dealt = _few_views(own)
-        rate = sum(dealt) / slowest_s(dealt, own)
-        if rate > most * (1 + _SAME):
+        working_speeds = [speeds[device] for device in working]
+        dealt = _few_views(working_speeds)
+        rate = sum(dealt) / slowest_s(dealt, working_speeds)
+        if rate > most * (1 + _ROUNDING):
             views = dict(zip(working, dealt, strict=True))
             best, most = tuple(views.get(device, 0) for device in range(len(speeds))), rate
     return best
@@ -143,7 +143,7 @@ def _few_views(speeds: Sequence[float]) -> tuple[int, ...]:
     counts = range(len(speeds), MOST_VIEWS_EACH * len(speeds) + 1)
     for count, slowest in zip(counts, _growing_steps(speeds, [1] * len(speeds)), strict=False):
         unbalance = slowest * total / count
-        if unbalance < least * (1 - _SAME):
+        if unbalance < least * (1 - _ROUNDING):
             num_views, least = count, unbalance
         if unbalance <= BALANCED:
             break

@@ -28,18 +28,18 @@ def extract_features(
 ) -> None:
     """Write features into `database`, one camera per lens (`lenses.py`); none where a mask is
     0."""
-    found = _cameras_by_name(database) if database.is_file() else {}
-    done = len(found)
+    camera_ids = _cameras_by_name(database) if database.is_file() else {}
+    num_done = len(camera_ids)
 
     def count(num_photographs: int) -> None:
-        nonlocal done
-        done += num_photographs
-        report(SfmProgress(phase="features", done=done, total=len(photographs)))
+        nonlocal num_done
+        num_done += num_photographs
+        report(SfmProgress(phase="features", done=num_done, total=len(photographs)))
 
     count(0)
     for lens in group_by_lens(photographs).lenses:
-        camera_id = next((found[name] for name in lens.names if name in found), -1)
-        names = [name for name in lens.names if name not in found]
+        camera_id = next((camera_ids[name] for name in lens.names if name in camera_ids), -1)
+        names = [name for name in lens.names if name not in camera_ids]
         for chunk in _chunks(names, PHOTOS_PER_CALL_AND_THREAD * config.threads):
             for part, folder in _by_mask(chunk, masks):
                 if config.effort == "thorough":
@@ -100,16 +100,16 @@ def _extract(places: tuple[Path, Path, Path | None], names: list[str], camera_id
 def match_pairs(database: Path, pairs: Pairs, config: SfmConfig, report: Report, poses: Poses | None = None) -> None:
     """Match the features of these pairs of names and verify the matches geometrically, by the
     `poses` of the photographs where they are known."""
-    left = _unmatched_pairs(database, pairs)
-    done = len(pairs) - len(left)
-    report(SfmProgress(phase="matching", done=done, total=len(pairs)))
-    if not left:
+    unmatched = _unmatched_pairs(database, pairs)
+    num_done = len(pairs) - len(unmatched)
+    report(SfmProgress(phase="matching", done=num_done, total=len(pairs)))
+    if not unmatched:
         return
 
     def tell(num: int) -> None:
-        report(SfmProgress(phase="matching", done=done + num, total=len(pairs)))
+        report(SfmProgress(phase="matching", done=num_done + num, total=len(pairs)))
 
-    match_quickly(database, left, config, tell, poses)
+    match_quickly(database, unmatched, config, tell, poses)
 
 
 def _unmatched_pairs(database: Path, pairs: Pairs) -> Pairs:

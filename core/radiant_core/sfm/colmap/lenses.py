@@ -92,7 +92,7 @@ def _split(members: list[Photograph]) -> tuple[float, list[list[Photograph]]]:
     """The width chosen, and the photographs of one body by lens."""
     tried = [(width, _within(members, width)) for width in WIDTHS]
     fewest = len(tried[-1][1])
-    fits = (each for each in tried if len(each[1]) == fewest or len(members) >= LEAST_SHARED * len(each[1]))
+    fits = (split for split in tried if len(split[1]) == fewest or len(members) >= LEAST_SHARED * len(split[1]))
     return next(fits)
 
 
@@ -152,8 +152,8 @@ def _cameras_without_zoom_in_35mm(photographs: Sequence[Photograph]) -> set[tupl
     zoomed: set[tuple[object, ...]] = set()
     for camera in (photo.camera for photo in photographs):
         if _sound_35mm(camera) is not None and camera.focal_mm is not None and _is_sound_zoom(camera):
-            seen = plain if camera.digital_zoom <= 1 + SAME_ZOOM else zoomed
-            seen.add((camera.make, camera.model, camera.focal_mm, camera.focal_35mm))
+            group = plain if camera.digital_zoom <= 1 + SAME_ZOOM else zoomed
+            group.add((camera.make, camera.model, camera.focal_mm, camera.focal_35mm))
     return {(str(make), str(model)) for make, model, *_ in plain & zoomed}
 
 
@@ -230,7 +230,7 @@ def set_focal(database: Path, camera_id: int, lens: Lens) -> None:
 
 
 def _decision(lenses: Sequence[Lens]) -> Decision:
-    counts = [f"{len(lens.photographs)} by {_said(lens)}" for lens in lenses]
+    counts = [f"{len(lens.photographs)} by {_lens_text(lens)}" for lens in lenses]
     more = f" and {len(counts) - 5} more" if len(counts) > 5 else ""
     return Decision(
         stage="sfm",
@@ -243,7 +243,7 @@ def _decision(lenses: Sequence[Lens]) -> Decision:
     )
 
 
-def _said(lens: Lens) -> str:
+def _lens_text(lens: Lens) -> str:
     camera = lens.photographs[0].camera
     name = f"{camera.make} {camera.model}".strip() or "a camera without a name"
     focal = f" at {camera.focal_mm:,.4g} mm" if camera.focal_mm else ""
@@ -272,12 +272,12 @@ def _doubtful(camera: CameraKey) -> str:
 
 
 def _tag_warnings(lenses: Sequence[Lens], excluded: set[tuple[str, str]]) -> tuple[str, ...]:
-    told = [
+    warnings = [
         f"{len(lens.photographs)} photographs say a {_doubtful(lens.photographs[0].camera)}, which no lens of theirs has: "
         "it is not used, and found from the photographs alone."
         for lens in lenses
         if lens.is_mistrusted
     ]
     for make, model in sorted(excluded):
-        told.append(f"the 35 mm focal lengths of {f'{make} {model}'.strip()} leave digital zoom out: they are multiplied by it.")
-    return tuple(told)
+        warnings.append(f"the 35 mm focal lengths of {f'{make} {model}'.strip()} leave digital zoom out: they are multiplied by it.")
+    return tuple(warnings)

@@ -76,12 +76,12 @@ def _believed(job: MappingJob, model: pycolmap.Reconstruction | None) -> pycolma
     return without_strays(model, job.photographs, job.config.seed)
 
 
-def _improve(job: MappingJob, found: pycolmap.Reconstruction | None) -> tuple[pycolmap.Reconstruction | None, list[Decision]]:
+def _improve(job: MappingJob, first_model: pycolmap.Reconstruction | None) -> tuple[pycolmap.Reconstruction | None, list[Decision]]:
     """Go on with all pairs of what is unregistered, a stray or misplaced, then globally; the best
     model of all."""
     decisions: list[Decision] = []
-    num_misplaced = 0 if found is None else _remove_misplaced(job, found)
-    model = _believed(job, found)
+    num_misplaced = 0 if first_model is None else _remove_misplaced(job, first_model)
+    model = _believed(job, first_model)
     missing = _missing_names(job, model)
     extra = keep_related(job.database, pairs_with([photo.name for photo in job.photographs], missing, job.pairs), job.config, job.report)
     match_pairs(job.database, extra, job.config, job.report)
@@ -90,8 +90,8 @@ def _improve(job: MappingJob, found: pycolmap.Reconstruction | None) -> tuple[py
         without = f", without {num_misplaced} that had been misplaced" if num_misplaced else ""
         decisions.append(_retry_decision(job, model, wider, f"{len(extra)} more pairs{without}"))
         model = _better(model, wider)
-    left = len(_missing_names(job, model)) / len(job.photographs)
-    if job.config.mapper == "auto" and left > MAX_LEFT_SHARE:
+    left_share = len(_missing_names(job, model)) / len(job.photographs)
+    if job.config.mapper == "auto" and left_share > MAX_LEFT_SHARE:
         overall = _believed(job, _global_model(job))
         decisions.append(_retry_decision(job, model, overall, "the global mapper"))
         model = _better(model, overall)

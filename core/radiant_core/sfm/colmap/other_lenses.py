@@ -32,7 +32,7 @@ def straighten(lenses: Mapping[str, Lens], photos: Path, to_folder: Path, report
     """Write the photographs, name → lens, of `photos` into `to_folder` without distortion. Raises
     BadInput where one cannot be decoded in the size of its lens."""
     report(SfmProgress(phase="undistorting", done=0, total=len(lenses)))
-    for done, (name, lens) in enumerate(lenses.items(), 1):
+    for num_done, (name, lens) in enumerate(lenses.items(), 1):
         data = read_bounded(photos / name, MAX_FILE_BYTES)
         pixels = decode_image(data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
         if pixels is None or pixels.shape[1::-1] != lens.size_wh:
@@ -43,7 +43,7 @@ def straighten(lenses: Mapping[str, Lens], photos: Path, to_folder: Path, report
         written = encoded.tobytes()
         (to_folder / name).parent.mkdir(parents=True, exist_ok=True)
         (to_folder / name).write_bytes(_START + kept_segments(data) + written[len(_START) :] if is_jpeg else written)
-        report(SfmProgress(phase="undistorting", done=done, total=len(lenses)))
+        report(SfmProgress(phase="undistorting", done=num_done, total=len(lenses)))
 
 
 def straighten_masks(lenses: Mapping[str, Lens], masks: Path, to_folder: Path) -> None:

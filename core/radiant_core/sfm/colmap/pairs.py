@@ -24,11 +24,11 @@ def gps_positions(photographs: tuple[Photograph, ...]) -> tuple[FloatArray, Floa
     NaN without GPS, and where GPS has no altitude the height alone; the origin's is 0 where no
     photograph has one."""
     geodetic = _geodetic(photographs)
-    known = np.isfinite(geodetic[:, 0])
+    has_gps = np.isfinite(geodetic[:, 0])
     high = np.isfinite(geodetic[:, 2])
     origin = np.zeros(3)
-    if known.any():
-        origin[:2] = np.median(geodetic[known, :2], axis=0)
+    if has_gps.any():
+        origin[:2] = np.median(geodetic[has_gps, :2], axis=0)
         origin[2] = np.median(geodetic[high, 2]) if high.any() else 0.0
     return gps_about(photographs, origin), origin
 
@@ -37,10 +37,10 @@ def gps_about(photographs: tuple[Photograph, ...], origin: FloatArray) -> FloatA
     """Metres east, north, up (N,3) about an origin (3,) [deg, deg, m], NaN as in
     `gps_positions`."""
     geodetic = _geodetic(photographs)
-    known, high = np.isfinite(geodetic[:, 0]), np.isfinite(geodetic[:, 2])
+    has_gps, high = np.isfinite(geodetic[:, 0]), np.isfinite(geodetic[:, 2])
     positions_m = np.full((len(photographs), 3), np.nan)
-    level = np.where(high[known], geodetic[known, 2], origin[2])
-    positions_m[known] = enu_from_geodetic(np.column_stack([geodetic[known, :2], level]), origin)
+    level = np.where(high[has_gps], geodetic[has_gps, 2], origin[2])
+    positions_m[has_gps] = enu_from_geodetic(np.column_stack([geodetic[has_gps, :2], level]), origin)
     positions_m[~high, 2] = np.nan
     return positions_m
 
@@ -85,31 +85,31 @@ def neighbor_pairs(names: list[str], positions_m: FloatArray, num_neighbors: int
     if len(members) == len(names):
         return [(names[a], names[b]) for a, b in _nearest_pairs(positions_m, num_neighbors)]
     frames = list(members.values())
-    nearest = _nearest_pairs(positions_m[[each[0] for each in frames]], num_neighbors)
-    numbered = {(min(a, b), max(a, b)) for one, other in nearest for a in frames[one] for b in frames[other]}
+    nearest = _nearest_pairs(positions_m[[frame[0] for frame in frames]], num_neighbors)
+    numbered = {(min(a, b), max(a, b)) for first, second in nearest for a in frames[first] for b in frames[second]}
     return [(names[a], names[b]) for a, b in sorted(numbered)]
 
 
 def _nearest_pairs(positions_m: FloatArray, num_neighbors: int) -> list[tuple[int, int]]:
-    known = np.flatnonzero(np.isfinite(positions_m[:, 0]))
+    rows = np.flatnonzero(np.isfinite(positions_m[:, 0]))
     pairs: set[tuple[int, int]] = set()
-    if len(known) > 1:
-        flat = positions_m[known, :2]
-        nearest = np.asarray(KDTree(flat).query(flat, k=min(num_neighbors + 1, len(known)))[1])
-        first, second = np.repeat(known, nearest.shape[1]), known[nearest.ravel()]
+    if len(rows) > 1:
+        flat = positions_m[rows, :2]
+        nearest = np.asarray(KDTree(flat).query(flat, k=min(num_neighbors + 1, len(rows)))[1])
+        first, second = np.repeat(rows, nearest.shape[1]), rows[nearest.ravel()]
         pairs = {(min(a, b), max(a, b)) for a, b in zip(first.tolist(), second.tolist(), strict=True) if a != b}
     count = len(positions_m)
-    for index in np.setdiff1d(np.arange(count), known).tolist():
-        pairs |= {(min(index, other), max(index, other)) for other in range(count) if other != index}
+    for index in np.setdiff1d(np.arange(count), rows).tolist():
+        pairs |= {(min(index, partner), max(index, partner)) for partner in range(count) if partner != index}
     return sorted(pairs)
 
 
-def pairs_with(names: list[str], chosen: tuple[str, ...], done: Pairs) -> Pairs:
-    """Every pair with one of `chosen` in it that is not among `done` yet."""
-    known = {frozenset(pair) for pair in done}
+def pairs_with(names: list[str], chosen: tuple[str, ...], earlier_pairs: Pairs) -> Pairs:
+    """Every pair with one of `chosen` in it that is not among `earlier_pairs` yet."""
+    matched = {frozenset(pair) for pair in earlier_pairs}
     wanted = set(chosen)
     return [
         pair
         for pair in combinations(names, 2)
-        if not wanted.isdisjoint(pair) and frozenset(pair) not in known and frame_of(pair[0]) != frame_of(pair[1])
+        if not wanted.isdisjoint(pair) and frozenset(pair) not in matched and frame_of(pair[0]) != frame_of(pair[1])
     ]

@@ -28,17 +28,17 @@ def keep_promising(database: Path, candidates: Pairs, config: SfmConfig, report:
     scores = _previewed(database, candidates, config, report)
     number_of = {name: number for number, name in enumerate(names)}
     numbered = np.array([[number_of[name] for name in pair] for pair in candidates], np.int64)
-    kept = np.flatnonzero(choose_partners(numbered, scores, len(names), config.num_partners))
+    promising = np.flatnonzero(choose_partners(numbered, scores, len(names), config.num_partners))
     decision = Decision(
         stage="sfm",
         topic="matching in full",
-        choice=f"{len(kept):,} of {len(candidates):,} pairs",
-        figure=float(np.median(scores[kept])) if len(kept) else 0.0,
+        choice=f"{len(promising):,} of {len(candidates):,} pairs",
+        figure=float(np.median(scores[promising])) if len(promising) else 0.0,
         unit="matches in the preview, median of the pairs kept",
         reason=f"each photograph is matched with the {config.num_partners} that share most of its {NUM_PREVIEWED} largest features",
-        changes_nothing=len(kept) == len(candidates),
+        changes_nothing=len(promising) == len(candidates),
     )
-    return [candidates[index] for index in kept.tolist()], (decision,)
+    return [candidates[index] for index in promising.tolist()], (decision,)
 
 
 def keep_related(database: Path, candidates: Pairs, config: SfmConfig, report: Report) -> Pairs:
@@ -50,7 +50,7 @@ def keep_related(database: Path, candidates: Pairs, config: SfmConfig, report: R
 
 
 def _previewed(database: Path, candidates: Pairs, config: SfmConfig, report: Report) -> NDArray[np.int64]:
-    def tell(done: int) -> None:
-        report(SfmProgress(phase="pairs", done=done, total=len(candidates)))
+    def tell(num_done: int) -> None:
+        report(SfmProgress(phase="pairs", done=num_done, total=len(candidates)))
 
     return preview_pairs(database, candidates, config, tell)

@@ -66,11 +66,11 @@ def _checked(mask: Any) -> NDArray[np.uint8] | None:
 def _import(database: Path, photo_folder: Path, names: list[str], camera_id: int) -> dict[str, int]:
     """Names → numbers of images, which are written into the database where they are not in it."""
     with pycolmap.Database.open(database) as store:
-        known = {image.name: image for image in store.read_all_images()}
-    missing = [name for name in names if name not in known]
+        images_by_name = {image.name: image for image in store.read_all_images()}
+    missing = [name for name in names if name not in images_by_name]
     if missing:
         if camera_id < 0:
-            camera_id = next((known[name].camera_id for name in names if name in known), -1)
+            camera_id = next((images_by_name[name].camera_id for name in names if name in images_by_name), -1)
         reading = pycolmap.ImageReaderOptions()
         reading.existing_camera_id = camera_id
         call_colmap(
@@ -94,11 +94,11 @@ class _Reader:
     """Points and descriptors of a database's photographs by name; the last ones stay in memory."""
 
     def __init__(self, store: pycolmap.Database, least_kept: int = 0) -> None:
-        kept = max(NUM_KEPT, least_kept)
+        cache_size = max(NUM_KEPT, least_kept)
         self.ids = {image.name: image.image_id for image in store.read_all_images()}
         self.cameras = {image.name: store.read_camera(image.camera_id) for image in store.read_all_images()}
-        self.descriptors = lru_cache(kept)(lambda name: _descriptors(store, self.ids[name]))
-        self.points = lru_cache(kept)(lambda name: _points(store, self.ids[name]))
+        self.descriptors = lru_cache(cache_size)(lambda name: _descriptors(store, self.ids[name]))
+        self.points = lru_cache(cache_size)(lambda name: _points(store, self.ids[name]))
 
 
 def _descriptors(store: pycolmap.Database, image_id: int) -> Descriptors:
@@ -127,7 +127,7 @@ def match_quickly(database: Path, pairs: Pairs, config: SfmConfig, on_done: OnDo
     """Match these pairs of names in full and verify them, by their `poses` where these are known;
     `on_done` gets how many are done."""
     options = _verification(config)
-    done = 0
+    num_done = 0
     with pycolmap.Database.open(database) as store:
         block_size = TASKS_PER_THREAD * config.threads
         reader = _Reader(store, 2 * block_size)
@@ -149,8 +149,8 @@ def match_quickly(database: Path, pairs: Pairs, config: SfmConfig, on_done: OnDo
                 first, second = (reader.ids[name] for name in pair)
                 store.write_matches(first, second, matches)
                 store.write_two_view_geometry(first, second, geometry)
-            done += len(block)
-            on_done(done)
+            num_done += len(block)
+            on_done(num_done)
 
 
 def _by_poses(reader: _Reader, pair: tuple[str, str], poses: Poses, matches: Matches) -> Any:

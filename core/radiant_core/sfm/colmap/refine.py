@@ -66,7 +66,7 @@ def adjust(model: pycolmap.Reconstruction, config: SfmConfig, *, refine_lenses: 
 
 
 def _same_lenses(before: pycolmap.Reconstruction, after: pycolmap.Reconstruction) -> bool:
-    seen = {before.image(image_id).camera_id for image_id in before.reg_image_ids()}
-    changes = [abs(np.log(after.camera(number).mean_focal_length() / before.camera(number).mean_focal_length())) for number in seen]
+    camera_ids = {before.image(image_id).camera_id for image_id in before.reg_image_ids()}
+    changes = [abs(np.log(after.camera(number).mean_focal_length() / before.camera(number).mean_focal_length())) for number in camera_ids]
     # A focal length below zero gives no number, which is no small change either.
     return all(change <= MAX_FOCAL_CHANGE for change in changes)

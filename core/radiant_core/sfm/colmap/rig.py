@@ -36,11 +36,11 @@ def apply_rig(database: Path, photo_folder: Path) -> None:
 def flatten(model_folder: Path) -> tuple[str, ...]:
     """Make the faces in the model of a folder images of their own, as programs without rigs read
     them, without those that see too few points; what is said of these."""
-    model, said = without_blind_faces(read_model(model_folder))
+    model, warnings = without_blind_faces(read_model(model_folder))
     shutil.rmtree(model_folder)
     model_folder.mkdir()
     write_for_colmap(model, model_folder)
-    return said
+    return warnings
 
 
 def without_blind_faces(model: ColmapModel) -> tuple[ColmapModel, tuple[str, ...]]:
@@ -50,5 +50,5 @@ def without_blind_faces(model: ColmapModel) -> tuple[ColmapModel, tuple[str, ...
     blind = {image.name for image in faces if int((image.point3d_ids != -1).sum()) < MIN_POINTS}
     if not blind:
         return model, ()
-    said = f"{len(blind)} faces of panoramas see under {MIN_POINTS} points (sky, or what carries the camera) and are left out."
-    return model.without(blind), (said,)
+    warning = f"{len(blind)} faces of panoramas see under {MIN_POINTS} points (sky, or what carries the camera) and are left out."
+    return model.without(blind), (warning,)

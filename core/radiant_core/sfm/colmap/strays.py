@@ -72,11 +72,11 @@ def _far_from_gps(model: pycolmap.Reconstruction, ids: list[int], photographs: t
     row_of = {photo.name: row for row, photo in enumerate(photographs)}
     target = positions_m[[row_of[model.image(image_id).name] for image_id in ids]]
     centers = np.array([model.image(image_id).projection_center() for image_id in ids]).reshape(-1, 3)
-    known = np.isfinite(target).all(axis=1)
+    has_gps = np.isfinite(target).all(axis=1)
     far = np.zeros(len(ids), bool)
-    fit = robust_sim3(centers[known], target[known], seed)
+    fit = robust_sim3(centers[has_gps], target[has_gps], seed)
     if fit.target_from_source is not None:
-        far[known] = fit.residuals > GPS_FACTOR * np.median(fit.residuals)
+        far[has_gps] = fit.residuals > GPS_FACTOR * np.median(fit.residuals)
     return far
 
 
@@ -89,8 +89,8 @@ def _unconnected(model: pycolmap.Reconstruction) -> list[int]:
     seen_by = [(row, row_of[element.image_id]) for row, point in enumerate(model.points3D.values()) for element in point.track.elements]
     rows, columns = np.array(seen_by, np.int64).reshape(-1, 2).T
     num_frames = int(frame_rows.max(initial=-1)) + 1
-    seen = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(model.num_points3D(), num_frames))
-    _, part = connected_components((seen.T @ seen) >= MIN_POINTS, directed=False)
+    visibility = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(model.num_points3D(), num_frames))
+    _, part = connected_components((visibility.T @ visibility) >= MIN_POINTS, directed=False)
     part = part[frame_rows]
     largest = np.bincount(part).argmax() if ids else 0
     return [image_id for image_id, number in zip(ids, part, strict=True) if number != largest]
@@ -105,7 +105,7 @@ def contradicted(model: pycolmap.Reconstruction, database: Path, least: float = 
         members.setdefault(model.image(image_id).frame_id, []).append(image_id)
     first = {image_id: images[0] for images in members.values() for image_id in images}
     pairs = np.array([[first[int(image_id)] for image_id in pair] for pair in pairs], np.int64).reshape(-1, 2)
-    found: list[int] = []
+    contradicting: list[int] = []
     while len(pairs):
         ids, ends = np.unique(pairs, return_inverse=True)
         ends = ends.reshape(pairs.shape)
@@ -114,10 +114,10 @@ def contradicted(model: pycolmap.Reconstruction, database: Path, least: float = 
         if shares.min() >= least:
             break
         worst = int(ids[shares.argmin()])
-        found += members[model.image(worst).frame_id]
-        kept = (pairs != worst).all(axis=1)
-        pairs, num_matches, num_agreeing = pairs[kept], num_matches[kept], num_agreeing[kept]
-    return found
+        contradicting += members[model.image(worst).frame_id]
+        others = (pairs != worst).all(axis=1)
+        pairs, num_matches, num_agreeing = pairs[others], num_matches[others], num_agreeing[others]
+    return contradicting
 
 
 def agreeing_matches(model: pycolmap.Reconstruction, database: Path) -> tuple[IntArray, IntArray, IntArray]:

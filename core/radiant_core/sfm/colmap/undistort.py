@@ -43,7 +43,7 @@ def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_thr
     _undistort_by_colmap(plan, (model_folder, image_folder, part), num_threads)
     # COLMAP takes no notice of an image that could not be written.
     require_room(work_folder)
-    _warp_all(plan, image_folder, part / "images", num_threads, lambda done: report(_progress(len(plan.others) + done, total)))
+    _warp_all(plan, image_folder, part / "images", num_threads, lambda num_done: report(_progress(len(plan.others) + num_done, total)))
     _name_for_stereo(part / "stereo", (*plan.warped, *plan.others))
     shutil.rmtree(part / BENT, ignore_errors=True)
     part.rename(final)
@@ -51,8 +51,8 @@ def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_thr
     return Undistorted(model_folder=final / "sparse", image_folder=final / "images")
 
 
-def _progress(done: int, total: int) -> SfmProgress:
-    return SfmProgress(phase="undistorting", done=done, total=total)
+def _progress(num_done: int, total: int) -> SfmProgress:
+    return SfmProgress(phase="undistorting", done=num_done, total=total)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,8 +108,8 @@ def _warp_all(plan: _Plan, image_folder: Path, to_folder: Path, num_threads: int
         _write(to_folder / name, jpeg)
 
     with single_opencv_thread():
-        for done, _ in enumerate(in_order(work, tuple(plan.warped), num_threads), 1):
-            on_done(done)
+        for num_done, _ in enumerate(in_order(work, tuple(plan.warped), num_threads), 1):
+            on_done(num_done)
 
 
 def _name_for_stereo(folder: Path, names: Iterable[str]) -> None:
@@ -133,15 +133,15 @@ def fit_model(model_folder: Path, world_from_model: Sim3, cameras: Cameras) -> N
     that are none of its cameras and points that only those saw."""
     model = pycolmap.Reconstruction(model_folder)
     model.transform(pycolmap.Sim3d(world_from_model.scale, pycolmap.Rotation3d(world_from_model.rotation), world_from_model.translation))
-    kept = set(cameras.names)
-    for image in [image for image in model.images.values() if image.has_pose and image.name not in kept]:
+    names = set(cameras.names)
+    for image in [image for image in model.images.values() if image.has_pose and image.name not in names]:
         model.deregister_frame(image.frame_id)
     model.write_binary(model_folder)
 
 
 def remove_images(image_folder: Path, cameras: Cameras) -> None:
     """Remove the images of a folder of `undistort` that are none of the cameras."""
-    kept = {image_folder / name for name in cameras.names}
+    paths = {image_folder / name for name in cameras.names}
     for path in image_folder.rglob("*"):
-        if path.is_file() and path not in kept:
+        if path.is_file() and path not in paths:
             path.unlink()

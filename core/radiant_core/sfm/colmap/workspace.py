@@ -26,7 +26,9 @@ WORK_FOLDERS = (
 def list_usable(folder: Path, report: Report, names: tuple[str, ...] | None = None, *, stretch: bool = False) -> PhotoListing:
     """`list_photographs` with its progress, of `names` if given, without copies; raises alike, and
     for photographs of more than 8 bits where the caller does not `stretch` them."""
-    listing = list_photographs(folder, lambda done, total: report(SfmProgress(phase="checking photographs", done=done, total=total)), names)
+    listing = list_photographs(
+        folder, lambda num_done, total: report(SfmProgress(phase="checking photographs", done=num_done, total=total)), names
+    )
     if listing.stretches and not stretch:
         raise BadInput(
             f"in {folder} {listing.stretches[0].unstretched}, which are not stretched where poses are given: save them in 8 bits, "
@@ -35,9 +37,9 @@ def list_usable(folder: Path, report: Report, names: tuple[str, ...] | None = No
     return listing.without_copies()
 
 
-def warn_of_unused(listing: PhotoListing, beside: tuple[str, ...] = (), *, named: bool = True) -> tuple[str, ...]:
+def warn_of_unused(listing: PhotoListing, project_notes: tuple[str, ...] = (), *, named: bool = True) -> tuple[str, ...]:
     """Warnings about the files that are not used, where photographs lie and what is doubtful in
-    them, and `beside` them; counted where their names are private."""
+    them, and `project_notes`; counted where their names are private."""
     num_usable = len(listing.photographs) + len(listing.copies)
     doubts = {photo.name: photo.position_doubt for photo in listing.photographs}
     folders = () if has_faces(listing.content.names) else folders_warning(listing.content, named=named)
@@ -46,15 +48,15 @@ def warn_of_unused(listing: PhotoListing, beside: tuple[str, ...] = (), *, named
         *unread_warning(listing.content.unread),
         *doubts_warning(doubts, len(listing.photographs), named=named),
         *sea_warning([photo.altitude_from_sea for photo in listing.photographs]),
-        *(stretch.said for stretch in listing.stretches),
+        *(stretch.sentence for stretch in listing.stretches),
     )
     if named:
         skipped = tuple(f"{clause} and is skipped." for clause in skipped_in_short(listing.skipped))
-        return (*skipped, *common, *beside, *copies_warning(listing.copies, num_usable))
+        return (*skipped, *common, *project_notes, *copies_warning(listing.copies, num_usable))
     counts = Counter(skipped.reason for skipped in listing.skipped)
     total = num_usable + len(listing.skipped)
     counted = tuple(f"{count} of {total} files skipped, each of which {reason}." for reason, count in counts.items())
-    return (*counted, *common, *beside, *copies_count(len(listing.copies), num_usable))
+    return (*counted, *common, *project_notes, *copies_count(len(listing.copies), num_usable))
 
 
 def start_clean(work_folder: Path, *, keep_database: bool = False) -> None:

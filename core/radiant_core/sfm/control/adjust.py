@@ -35,7 +35,7 @@ FIRST_DAMPING, MAX_DAMPING = 1e-4, 1e4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Known:
+class Measurements:
     """What is measured beside ties; G may be 0, and GPS NaN throughout, not both."""
 
     places_m: FloatArray
@@ -108,15 +108,15 @@ class Normal:
         return (scale * solved.T).T
 
 
-def adjust(bundle: Bundle, ties: Ties, known: Known, max_steps: int = MAX_STEPS) -> Adjusted:
+def adjust(bundle: Bundle, ties: Ties, measurements: Measurements, max_steps: int = MAX_STEPS) -> Adjusted:
     """Adjust all of a bundle that stands near the known places already."""
-    state = _State(bundle=bundle, control_m=known.places_m.copy(), shift_m=_first_shift(bundle, known))
-    cost, normal = _linearize(state, ties, known)
+    state = _State(bundle=bundle, control_m=measurements.places_m.copy(), shift_m=_first_shift(bundle, measurements))
+    cost, normal = _linearize(state, ties, measurements)
     damping, steps = 0.0, 0
     while steps < max_steps:
         steps += 1
         new = _step(state, normal, damping)
-        new_cost, new_normal = _linearize(new, ties, known)
+        new_cost, new_normal = _linearize(new, ties, measurements)
         if not new_cost < cost:
             damping = max(10 * damping, FIRST_DAMPING)
             if damping > MAX_DAMPING or new_cost - cost < LEAST_GAIN * cost:
@@ -141,8 +141,8 @@ class _State:
         return np.concatenate([self.bundle.points, self.control_m])
 
 
-def _first_shift(bundle: Bundle, known: Known) -> FloatArray:
-    return np.nanmedian(known.gps_m - bundle.centers, axis=0) if known.shifts else np.zeros(3)
+def _first_shift(bundle: Bundle, measurements: Measurements) -> FloatArray:
+    return np.nanmedian(measurements.gps_m - bundle.centers, axis=0) if measurements.shifts else np.zeros(3)
 
 
 def _step(state: _State, normal: Normal, damping: float) -> _State:
@@ -150,36 +150,39 @@ def _step(state: _State, normal: Normal, damping: float) -> _State:
     num_images, F = len(state.bundle.names), state.bundle.most_free
     poses = step[: 6 * num_images].reshape(-1, 6)
     lenses = step[6 * num_images : -3].reshape(-1, F)
-    own = np.einsum("pij,pj->pi", normal.point_inverse, normal.point_rhs)
-    points = state.all_points + own - (normal.point_from_camera @ step).reshape(-1, 3)
+    point_steps = np.einsum("pij,pj->pi", normal.point_inverse, normal.point_rhs)
+    points = state.all_points + point_steps - (normal.point_from_camera @ step).reshape(-1, 3)
     num_points = len(state.bundle.points)
     bundle = state.bundle.moved(poses[:, :3], poses[:, 3:], lenses, points[:num_points])
     return _State(bundle=bundle, control_m=points[num_points:], shift_m=state.shift_m + step[-3:])
 
 
-def _linearize(state: _State, ties: Ties, known: Known) -> tuple[float, Normal]:
+def _linearize(state: _State, ties: Ties, measurements: Measurements) -> tuple[float, Normal]:
     """The cost and the normal equations about a state."""
     bundle, num_points = state.bundle, len(state.bundle.points)
-    images, points = np.concatenate([ties.images, known.marks.images]), np.concatenate([ties.points, num_points + known.marks.points])
-    is_mark = np.concatenate([np.zeros(len(ties.images), bool), np.ones(len(known.marks.images), bool)])
-    sigma = np.where(is_mark, known.mark_sigma_px, known.tie_sigma_px)
+    images, points = (
+        np.concatenate([ties.images, measurements.marks.images]),
+        np.concatenate([ties.points, num_points + measurements.marks.points]),
+    )
+    is_mark = np.concatenate([np.zeros(len(ties.images), bool), np.ones(len(measurements.marks.images), bool)])
+    sigma = np.where(is_mark, measurements.mark_sigma_px, measurements.tie_sigma_px)
     pixels, by_pose, by_lens, by_point = bundle.derivatives(images, state.all_points[points])
-    residuals = (np.concatenate([ties.pixels, known.marks.pixels]) - pixels) / sigma[:, None]
-    seen = np.isfinite(residuals[:, 0]) & np.isfinite(residuals[:, 1])
+    residuals = (np.concatenate([ties.pixels, measurements.marks.pixels]) - pixels) / sigma[:, None]
+    in_front = np.isfinite(residuals[:, 0]) & np.isfinite(residuals[:, 1])
     # Behind a camera: as wrong as can be, and without a direction to better it.
-    residuals = np.where(seen[:, None], residuals, 0.0)
+    residuals = np.where(in_front[:, None], residuals, 0.0)
     length = np.linalg.norm(residuals, axis=1)
     cost, weights = _robust(length, is_mark)
-    cost_total = float(cost[seen].sum()) + 1e6 * float((~seen).sum())
-    root = np.where(seen, np.sqrt(weights), 0.0)
+    cost_total = float(cost[in_front].sum()) + 1e6 * float((~in_front).sum())
+    root = np.where(in_front, np.sqrt(weights), 0.0)
     scale = (root / sigma)[:, None, None]
     r = root[:, None] * residuals
     with np.errstate(invalid="ignore"):
-        jacobians = [np.where(seen[:, None, None], part * scale, 0.0) for part in (by_pose, by_lens, by_point)]
+        jacobians = [np.where(in_front[:, None, None], part * scale, 0.0) for part in (by_pose, by_lens, by_point)]
     cameras = _camera_jacobian(bundle, images, jacobians[0], jacobians[1])
-    extra_cost, diagonal, gradient = _camera_priors(state, known)
-    V, point_rhs = _point_blocks(jacobians[2], r, points, num_points + len(known.places_m))
-    control_cost = _add_control(V, point_rhs, state.control_m, known, num_points)
+    extra_cost, diagonal, gradient = _camera_priors(state, measurements)
+    V, point_rhs = _point_blocks(jacobians[2], r, points, num_points + len(measurements.places_m))
+    control_cost = _add_control(V, point_rhs, state.control_m, measurements, num_points)
     return cost_total + extra_cost + control_cost, _eliminate(cameras, jacobians[2], r, points, (V, point_rhs), (diagonal, gradient))
 
 
@@ -201,39 +204,39 @@ def _point_blocks(by_point: FloatArray, r: FloatArray, points: Rows, count: int)
     return sum_by(points, np.einsum("kij,kil->kjl", by_point, by_point), count), sum_by(points, np.einsum("kij,ki->kj", by_point, r), count)
 
 
-def _add_control(V: FloatArray, point_rhs: FloatArray, control_m: FloatArray, known: Known, first: int) -> float:
+def _add_control(V: FloatArray, point_rhs: FloatArray, control_m: FloatArray, measurements: Measurements, first: int) -> float:
     """Pull ground control to its places, in the blocks; its cost."""
     if not len(control_m):
         return 0.0
-    residuals = (known.places_m - control_m) / known.sigmas_m
+    residuals = (measurements.places_m - control_m) / measurements.sigmas_m
     cost, weights = _huber(np.linalg.norm(residuals, axis=1) / np.sqrt(3))
-    V[first:] += weights[:, None, None] * np.diag(known.sigmas_m**-2.0)
-    point_rhs[first:] += weights[:, None] * residuals / known.sigmas_m
+    V[first:] += weights[:, None, None] * np.diag(measurements.sigmas_m**-2.0)
+    point_rhs[first:] += weights[:, None] * residuals / measurements.sigmas_m
     return 3 * float(cost.sum())
 
 
-def _camera_priors(state: _State, known: Known) -> tuple[float, sparse.csr_matrix, FloatArray]:
+def _camera_priors(state: _State, measurements: Measurements) -> tuple[float, sparse.csr_matrix, FloatArray]:
     """Cost, (W,W) and gradient (W,) of GPS, lenses and the shift."""
     bundle = state.bundle
     C, F = len(bundle.names), bundle.most_free
     width = 6 * C + F * len(bundle.lenses) + 3
     shift, gradient, cost = np.arange(width - 3, width), np.zeros(width), 0.0
-    entries = [(shift, shift, np.full(3, 0.0 if known.shifts else 1.0))]
+    entries = [(shift, shift, np.full(3, 0.0 if measurements.shifts else 1.0))]
     for row, (params, free) in enumerate(zip(bundle.params, bundle.free, strict=True)):
         sigmas = np.where(np.abs(params[free]) > 10, FOCAL_SHARE * np.abs(params[free]), LENS_SIGMA)
         at = 6 * C + F * row + np.arange(F)
         entries.append((at, at, np.append(sigmas**-2.0, np.ones(F - len(free)))))
-    has_gps = np.flatnonzero(np.isfinite(known.gps_m).all(axis=1))
+    has_gps = np.flatnonzero(np.isfinite(measurements.gps_m).all(axis=1))
     if len(has_gps):
-        sigmas_m = known.gps_sigmas_m[has_gps]
-        residuals = (known.gps_m - bundle.centers - state.shift_m)[has_gps] / sigmas_m
+        sigmas_m = measurements.gps_sigmas_m[has_gps]
+        residuals = (measurements.gps_m - bundle.centers - state.shift_m)[has_gps] / sigmas_m
         costs, weights = _huber(np.linalg.norm(residuals, axis=1) / np.sqrt(3))
         cost = 3 * float(costs.sum())
         inverse, sides = (weights[:, None] / sigmas_m**2).ravel(), weights[:, None] * residuals / sigmas_m
         at = (6 * has_gps[:, None] + 3 + np.arange(3)).ravel()
         gradient[at] = sides.ravel()
         entries.append((at, at, inverse))
-        if known.shifts:
+        if measurements.shifts:
             to = np.tile(shift, len(has_gps))
             entries += [(at, to, inverse), (to, at, inverse), (to, to, inverse)]
             gradient[shift] = sides.sum(axis=0)
@@ -278,6 +281,6 @@ def _huber(length: FloatArray) -> tuple[FloatArray, FloatArray]:
     return cost, np.where(inside, 1.0, HUBER_SIGMAS / np.maximum(length, HUBER_SIGMAS))
 
 
-def with_sigmas(known: Known, tie_px: float, mark_px: float) -> Known:
+def with_sigmas(measurements: Measurements, tie_px: float, mark_px: float) -> Measurements:
     """The same with other standard deviations of pixels."""
-    return replace(known, tie_sigma_px=tie_px, mark_sigma_px=mark_px)
+    return replace(measurements, tie_sigma_px=tie_px, mark_sigma_px=mark_px)

@@ -65,19 +65,19 @@ def against_gps(cameras: Cameras, frame: Frame, photographs: tuple[Photograph, .
     by_name = {photo.name: photo for photo in photographs}
     placed = tuple(by_name[name] for name in cameras.names)
     gps_m = gps_about(placed, frame.origin_lat_lon_alt) if frame.kind == "metric" else gps_positions(placed)[0]
-    known = np.isfinite(gps_m[:, 0])
-    found = list(_upside_down(cameras, request.source))
-    if not known.any():
-        return tuple(found)
-    centers, gps_m = cameras.centers[known], gps_m[known]
+    has_gps = np.isfinite(gps_m[:, 0])
+    contradictions = list(_upside_down(cameras, request.source))
+    if not has_gps.any():
+        return tuple(contradictions)
+    centers, gps_m = cameras.centers[has_gps], gps_m[has_gps]
     if frame.kind == "metric":
         accurate = are_enough(accurate_positions(placed)[0])
-        found += _shifts(centers, gps_m, frame, request, ACCURATE_SHIFT_M if accurate else NOTABLE_SHIFT_M)
+        contradictions += _shifts(centers, gps_m, frame, request, ACCURATE_SHIFT_M if accurate else NOTABLE_SHIFT_M)
     high = np.isfinite(gps_m[:, 2])
     if high.sum() >= MIN_POSITIONS:
-        seen = cameras.select(np.flatnonzero(known)[high])
-        found += _turns(seen, gps_m[high], request.source, on_globe=frame.kind == "metric")
-    return tuple(found)
+        high_cameras = cameras.select(np.flatnonzero(has_gps)[high])
+        contradictions += _turns(high_cameras, gps_m[high], request.source, on_globe=frame.kind == "metric")
+    return tuple(contradictions)
 
 
 def _upside_down(cameras: Cameras, source: str) -> Iterator[Contradiction]:
@@ -88,7 +88,7 @@ def _upside_down(cameras: Cameras, source: str) -> Iterator[Contradiction]:
             sentence=f"{source} turns the scene upside down: all photographs would look up; likely cause: east and north are exchanged, or "
             "heights have the wrong sign",
             is_gross=True,
-            taken="the list is taken",
+            outcome="the list is taken",
             remedy="correct the order and signs of its coordinates, unless the photographs do look up",
         )
 
@@ -107,7 +107,7 @@ def _shifts(centers: FloatArray, gps_m: FloatArray, frame: Frame, request: Contr
             sentence=f"{request.source} and the photographs' GPS contradict each other: by the list the photographs were taken "
             f"{distance_text(off_m)} from where GPS has them (median){cause_text(likely_cause(listed, expected, system))}",
             is_gross=off_m > max(GROSS_SHIFT_M, 2 * SPREADS * spread_m),
-            taken="the list is taken",
+            outcome="the list is taken",
             remedy="correct the list's first line or its coordinates",
         )
     if abs(rise_m) > NOTABLE_HEIGHT_M:
@@ -117,7 +117,7 @@ def _shifts(centers: FloatArray, gps_m: FloatArray, frame: Frame, request: Contr
             sentence=f"{request.source} puts the photographs {abs(rise_m):,.0f} m {side} their GPS altitudes, more than a geoid"
             f"{cause_text(cause or 'altitudes that count from take-off, or heights in another unit')}",
             is_gross=False,
-            taken="the list is taken",
+            outcome="the list is taken",
             remedy="correct its heights",
         )
 
@@ -136,7 +136,7 @@ def _turns(cameras: Cameras, gps_m: FloatArray, source: str, *, on_globe: bool) 
             sentence=f"{source} and the photographs' GPS contradict each other: a metre of the list is {ratio:.3g} m by GPS, whose "
             f"scale is known to {100 * sigma:.2g} %{cause_text('the coordinates are in feet' if foot else None)}",
             is_gross=off > max(GROSS_SCALE, GROSS_SIGMAS * sigma),
-            taken="the list is taken",
+            outcome="the list is taken",
             remedy="correct the unit of its coordinates",
         )
     if not on_globe or fit.status != "ok":
@@ -148,7 +148,7 @@ def _turns(cameras: Cameras, gps_m: FloatArray, source: str, *, on_globe: bool) 
         yield Contradiction(
             sentence=f"{source} puts up {lean_deg:.0f}° away from where the photographs' GPS has it",
             is_gross=lean_deg > GROSS_LEAN_DEG,
-            taken="the list is taken",
+            outcome="the list is taken",
             remedy="correct the order and signs of its coordinates",
         )
     elif turn_deg > max(NOTABLE_TURN_DEG, NOTABLE_SIGMAS * sigma_deg):
@@ -156,7 +156,7 @@ def _turns(cameras: Cameras, gps_m: FloatArray, source: str, *, on_globe: bool) 
             sentence=f"{source} and the photographs' GPS contradict each other: north of the list is {turn_deg:.0f}° away from that of "
             f"GPS, which is known to {sigma_deg:.1f}°",
             is_gross=turn_deg > max(GROSS_TURN_DEG, GROSS_SIGMAS * sigma_deg),
-            taken="the list is taken",
+            outcome="the list is taken",
             remedy="correct the order and signs of its coordinates",
         )
 

@@ -56,8 +56,8 @@ def check_control(placement: Placement, photographs: tuple[Photograph, ...], siz
     marks = _marks_in(control, photographs, placement.control.source)
     _require_inside(control, sizes_wh, placement.control.source)
     _require_enough(control, marks, photographs, placement.control.source)
-    found = _contradiction(control, marks, placement.control)
-    return settle([] if found is None else [found], placement.contradictions)
+    contradiction = _contradiction(control, marks, placement.control)
+    return settle([] if contradiction is None else [contradiction], placement.contradictions)
 
 
 def listed_system(request: ControlRequest) -> str:
@@ -130,8 +130,8 @@ def _require_enough(control: ControlPoints, marks: _Marks, photographs: tuple[Ph
             (single, "in one photograph alone"),
             (nowhere, "in none that is here"),
         )
-        said = ", ".join(f"{count} {what}" for count, what in facts if count)
-        why = f"{int(usable.sum())} of {len(usable)} points can place the scene{f' ({said})' * bool(said)}"
+        counts_text = ", ".join(f"{count} {reason}" for count, reason in facts if count)
+        why = f"{int(usable.sum())} of {len(usable)} points can place the scene{f' ({counts_text})' * bool(counts_text)}"
     raise BadInput(
         f"{source}: {why}, expected {MIN_CONTROL} or more, each marked in {MIN_PHOTOGRAPHS} photographs: mark more, or keep fewer out."
     )
@@ -158,7 +158,7 @@ def _contradiction(control: ControlPoints, marks: _Marks, request: ControlReques
         sentence=f"{request.source} and the photographs' GPS contradict each other: its points lie {apart} from the photographs that show "
         f"them ({place_text(listed)} against {place_text(expected)}){cause_text(difference.cause)}",
         is_gross=True,
-        taken="the list is taken",
+        outcome="the list is taken",
         remedy="correct the list's first line or its coordinates",
     )
 

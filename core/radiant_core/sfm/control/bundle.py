@@ -94,25 +94,25 @@ class Bundle:
         return max(len(free) for free in self.free)
 
     def _by_lens(self, images: Rows, local: FloatArray) -> FloatArray:
-        found = np.zeros((len(images), 2, self.most_free))
+        derivatives = np.zeros((len(images), 2, self.most_free))
         for row, free in enumerate(self.free):
-            own = self.lens_of_image[images] == row
+            in_lens = self.lens_of_image[images] == row
             for column, index in enumerate(free.tolist()):
                 step = STEP * max(1.0, abs(float(self.params[row][index])))
                 high, low = self.params[row].copy(), self.params[row].copy()
                 high[index] += step
                 low[index] -= step
-                found[own, :, column] = (_pixels(self.lenses[row], high, local[own]) - _pixels(self.lenses[row], low, local[own])) / (
-                    2 * step
-                )
-        return found
+                derivatives[in_lens, :, column] = (
+                    _pixels(self.lenses[row], high, local[in_lens]) - _pixels(self.lenses[row], low, local[in_lens])
+                ) / (2 * step)
+        return derivatives
 
     def _pixels(self, images: Rows, local: FloatArray) -> FloatArray:
-        found = np.full((len(images), 2), np.nan)
+        pixels = np.full((len(images), 2), np.nan)
         for row, lens in enumerate(self.lenses):
-            own = self.lens_of_image[images] == row
-            found[own] = _pixels(lens, self.params[row], local[own])
-        return found
+            in_lens = self.lens_of_image[images] == row
+            pixels[in_lens] = _pixels(lens, self.params[row], local[in_lens])
+        return pixels
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,10 +149,10 @@ def bundle_of(model: pycolmap.Reconstruction) -> tuple[Bundle, Ties]:
     )
     rows, ids, pixels = [], [], []
     for row, image in enumerate(images):
-        seen = image.get_observation_points2D()
-        rows.append(np.full(len(seen), row))
-        ids.append(np.array([point.point3D_id for point in seen], np.int64))
-        pixels.append(np.array([point.xy for point in seen]).reshape(-1, 2))
+        observations = image.get_observation_points2D()
+        rows.append(np.full(len(observations), row))
+        ids.append(np.array([point.point3D_id for point in observations], np.int64))
+        pixels.append(np.array([point.xy for point in observations]).reshape(-1, 2))
     return bundle, Ties(
         images=np.concatenate(rows).astype(np.int64), points=np.searchsorted(point_ids, np.concatenate(ids)), pixels=np.concatenate(pixels)
     )

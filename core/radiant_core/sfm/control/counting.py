@@ -73,9 +73,9 @@ def misfit_doubt(points: tuple[PointQuality, ...], sigmas_m: FloatArray) -> tupl
 
 def said_of(points: tuple[PointQuality, ...]) -> str:
     """The points that do not count, each with the reason."""
-    left = [point for point in points if not point.counts]
-    named = [f"{point.name}: {reason_of(point)}" for point in left[:MAX_NAMED]]
-    return "; ".join([*named, f"{len(left) - MAX_NAMED} more"] if len(left) > MAX_NAMED else named)
+    uncounted = [point for point in points if not point.counts]
+    named = [f"{point.name}: {reason_of(point)}" for point in uncounted[:MAX_NAMED]]
+    return "; ".join([*named, f"{len(uncounted) - MAX_NAMED} more"] if len(uncounted) > MAX_NAMED else named)
 
 
 def reason_of(point: PointQuality) -> str:
@@ -88,18 +88,18 @@ def reason_of(point: PointQuality) -> str:
 def counting_positions(misses_m: FloatArray, sigmas_m: FloatArray) -> NDArray[np.bool_]:
     """Which positions (C,3), NaN where there is none, count, as points do."""
     off = np.max(np.abs(misses_m) / sigmas_m, axis=1)
-    known = np.isfinite(off)
-    if not known.any():
-        return known
-    return known & (np.nan_to_num(off, nan=np.inf) <= BLUNDER_SIGMAS * max(1.0, float(np.median(off[known]))))
+    is_finite = np.isfinite(off)
+    if not is_finite.any():
+        return is_finite
+    return is_finite & (np.nan_to_num(off, nan=np.inf) <= BLUNDER_SIGMAS * max(1.0, float(np.median(off[is_finite]))))
 
 
 def claim_warning(misses_m: FloatArray, sigmas_m: FloatArray) -> tuple[str, ...]:
     """A warning where positions (C,3) miss by far more than they claim (C,3)."""
-    known = np.isfinite(misses_m).all(axis=1)
-    if not known.any():
+    is_finite = np.isfinite(misses_m).all(axis=1)
+    if not is_finite.any():
         return ()
-    missed_m, claimed_m = (float(np.median(np.linalg.norm(values[known], axis=1))) for values in (misses_m, sigmas_m))
+    missed_m, claimed_m = (float(np.median(np.linalg.norm(values[is_finite], axis=1))) for values in (misses_m, sigmas_m))
     if missed_m <= CLAIMED_TIMES * claimed_m:
         return ()
     return (

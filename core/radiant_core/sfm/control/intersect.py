@@ -22,12 +22,12 @@ def intersect_rays(bundle: Bundle, ties: Ties, count: int) -> FloatArray:
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     sides = np.einsum("kij,kj->ki", across, bundle.centers[ties.images])
     A, b = sum_by(ties.points, across, count), sum_by(ties.points, sides, count)
-    found = np.full((count, 3), np.nan)
+    points = np.full((count, 3), np.nan)
     # The least eigenvalue is the sum of squared sines about the rays' middle.
     least = np.linalg.eigvalsh(A)[:, 0] if count else np.zeros(0)
     fixed = least > np.sin(np.radians(MIN_ANGLE_DEG)) ** 2
-    found[fixed] = np.linalg.solve(A[fixed], b[fixed][:, :, None])[:, :, 0]
-    return found
+    points[fixed] = np.linalg.solve(A[fixed], b[fixed][:, :, None])[:, :, 0]
+    return points
 
 
 def refine_points(bundle: Bundle, ties: Ties, points: FloatArray, num_steps: int = NUM_STEPS) -> FloatArray:
@@ -37,8 +37,8 @@ def refine_points(bundle: Bundle, ties: Ties, points: FloatArray, num_steps: int
     for _ in range(num_steps):
         pixels, _, _, by_point = bundle.derivatives(ties.images, best[ties.points])
         residuals = ties.pixels - pixels
-        seen = np.isfinite(residuals).all(axis=1) & np.isfinite(by_point).all(axis=(1, 2))
-        J, r, rows = by_point[seen], residuals[seen], ties.points[seen]
+        is_usable = np.isfinite(residuals).all(axis=1) & np.isfinite(by_point).all(axis=(1, 2))
+        J, r, rows = by_point[is_usable], residuals[is_usable], ties.points[is_usable]
         V, side = sum_by(rows, np.einsum("kij,kil->kjl", J, J), len(points)), sum_by(rows, np.einsum("kij,ki->kj", J, r), len(points))
         V = V + (1e-9 * np.einsum("pii->p", V)[:, None, None] + 1e-300) * np.eye(3)
         new = best + np.linalg.solve(V, side[:, :, None])[:, :, 0]
@@ -67,9 +67,9 @@ def _directions(bundle: Bundle, ties: Ties) -> FloatArray:
     """Unit vectors (K,3) in the world of what the images see."""
     flat = np.zeros((len(ties.images), 2))
     for row, lens in enumerate(bundle.lenses):
-        own = bundle.lens_of_image[ties.images] == row
-        if own.any():
-            flat[own] = lens.cam_from_img(ties.pixels[own])
+        in_lens = bundle.lens_of_image[ties.images] == row
+        if in_lens.any():
+            flat[in_lens] = lens.cam_from_img(ties.pixels[in_lens])
     local = np.column_stack([flat, np.ones(len(flat))])
     turned = np.einsum("kji,kj->ki", bundle.rotations[ties.images], local)
     return turned / np.linalg.norm(turned, axis=1, keepdims=True)

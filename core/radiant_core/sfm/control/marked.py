@@ -28,8 +28,8 @@ class Marked:
     def rows(self, *, check: bool) -> tuple[Rows, Ties]:
         """Points that are kept out, or not, and their marks with rows among them."""
         rows = np.flatnonzero(self.is_check == check)
-        own = self.marks.at(np.isin(self.marks.points, rows))
-        return rows, replace(own, points=np.searchsorted(rows, own.points))
+        marks = self.marks.at(np.isin(self.marks.points, rows))
+        return rows, replace(marks, points=np.searchsorted(rows, marks.points))
 
 
 def marks_of(control: ControlPoints, bundle: Bundle) -> Marked:
@@ -46,19 +46,19 @@ def marks_of(control: ControlPoints, bundle: Bundle) -> Marked:
     warnings = (f"marks of ground control in {len(lost)} photographs that are not placed are left out, {lost[0]!r} first.",) if lost else ()
     images = np.array([row_of.get(name, -1) for name in control.mark_images], np.int64)[placed]
     marks = Ties(images=images, points=control.mark_points[placed], pixels=control.mark_pixels[placed])
-    seen = np.isfinite(intersect_rays(bundle, marks, len(control.names))).all(axis=1)
-    if not seen.all():
-        first = control.names[int(np.flatnonzero(~seen)[0])]
+    is_fixed = np.isfinite(intersect_rays(bundle, marks, len(control.names))).all(axis=1)
+    if not is_fixed.all():
+        first = control.names[int(np.flatnonzero(~is_fixed)[0])]
         warnings += (
-            f"{int((~seen).sum())} points of ground control are marked in fewer than two photographs that lie apart, {first!r} first.",
+            f"{int((~is_fixed).sum())} points of ground control are marked in fewer than two photographs that lie apart, {first!r} first.",
         )
-    rows = np.flatnonzero(seen)
-    own = marks.at(np.isin(marks.points, rows))
+    rows = np.flatnonzero(is_fixed)
+    used_marks = marks.at(np.isin(marks.points, rows))
     return Marked(
         names=tuple(control.names[row] for row in rows),
         places_m=control.places_m[rows],
         is_check=control.is_check[rows],
         sigmas_m=control.sigmas_m,
-        marks=replace(own, points=np.searchsorted(rows, own.points)),
+        marks=replace(used_marks, points=np.searchsorted(rows, used_marks.points)),
         warnings=warnings,
     )

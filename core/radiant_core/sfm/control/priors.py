@@ -33,8 +33,8 @@ def accurate_positions(photographs: tuple[Photograph, ...]) -> tuple[FloatArray,
 
 def are_enough(geodetic: FloatArray) -> bool:
     """Whether positions (C,3) alone fix a scene."""
-    known = int(np.isfinite(geodetic[:, 0]).sum())
-    return known >= max(MIN_POSITIONS, MIN_SHARE * len(geodetic))
+    num_known = int(np.isfinite(geodetic[:, 0]).sum())
+    return num_known >= max(MIN_POSITIONS, MIN_SHARE * len(geodetic))
 
 
 def middle_of(geodetic: FloatArray) -> FloatArray:
@@ -45,7 +45,7 @@ def middle_of(geodetic: FloatArray) -> FloatArray:
 def positions_about(geodetic: FloatArray, origin: FloatArray) -> FloatArray:
     """Metres east, north, up (C,3) about an origin (3,); NaN stays."""
     positions_m = np.full_like(geodetic, np.nan)
-    known = np.isfinite(geodetic[:, 0])
-    if known.any():
-        positions_m[known] = enu_from_geodetic(geodetic[known], origin)
+    has_gps = np.isfinite(geodetic[:, 0])
+    if has_gps.any():
+        positions_m[has_gps] = enu_from_geodetic(geodetic[has_gps], origin)
     return positions_m

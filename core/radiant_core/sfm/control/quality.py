@@ -93,29 +93,29 @@ def check_points(
 ) -> tuple[PointQuality, ...]:
     """Points (G,3) that were kept out, intersected from the adjusted cameras; those that under two
     photographs show well are left out."""
-    found = refine_points(adjusted.bundle, marks, intersect_rays(adjusted.bundle, marks, len(names)))
-    kept = []
+    points = refine_points(adjusted.bundle, marks, intersect_rays(adjusted.bundle, marks, len(names)))
+    qualities = []
     for row, name in enumerate(names):
-        own = marks.at(marks.points == row)
-        if not np.isfinite(found[row]).all():
+        point_marks = marks.at(marks.points == row)
+        if not np.isfinite(points[row]).all():
             continue
-        own, residuals_px = _in_front(adjusted, own, found[row])
-        covariance = _covariance(adjusted, own, found[row], mark_px)
+        point_marks, residuals_px = _in_front(adjusted, point_marks, points[row])
+        covariance = _covariance(adjusted, point_marks, points[row], mark_px)
         if covariance is None:
             continue
         expected = np.sqrt(np.diag(covariance) + sigmas_m**2)
-        kept.append(
+        qualities.append(
             PointQuality(
                 name=name,
                 is_check=True,
                 num_images=len(residuals_px),
-                residual_m=_triple(found[row] - places_m[row]),
+                residual_m=_triple(points[row] - places_m[row]),
                 expected_m=_triple(expected),
                 residual_px=_rms(residuals_px),
                 num_counting=_num_counting(residuals_px, mark_px),
             )
         )
-    return tuple(kept)
+    return tuple(qualities)
 
 
 def control_points(
@@ -123,25 +123,25 @@ def control_points(
 ) -> tuple[PointQuality, ...]:
     """Ground control after the adjustment."""
     normal, first = adjusted.normal, len(adjusted.bundle.points)
-    kept = []
+    qualities = []
     for row, name in enumerate(names):
-        own = marks.at(marks.points == row)
+        point_marks = marks.at(marks.points == row)
         at = first + row
         follow = normal.point_from_camera[3 * at : 3 * at + 3].toarray()
         covariance = normal.point_inverse[at] + follow @ normal.solve(follow.T)
-        pixels = adjusted.bundle.project(own.images, np.repeat(adjusted.control_m[row : row + 1], len(own.images), axis=0))
-        kept.append(
+        pixels = adjusted.bundle.project(point_marks.images, np.repeat(adjusted.control_m[row : row + 1], len(point_marks.images), axis=0))
+        qualities.append(
             PointQuality(
                 name=name,
                 is_check=False,
-                num_images=len(own.images),
+                num_images=len(point_marks.images),
                 residual_m=_triple(adjusted.control_m[row] - places_m[row]),
                 expected_m=_triple(np.sqrt(np.diag(covariance))),
-                residual_px=_rms(pixels - own.pixels),
-                num_counting=_num_counting(pixels - own.pixels, mark_px),
+                residual_px=_rms(pixels - point_marks.pixels),
+                num_counting=_num_counting(pixels - point_marks.pixels, mark_px),
             )
         )
-    return tuple(kept)
+    return tuple(qualities)
 
 
 def _in_front(adjusted: Adjusted, marks: Ties, point: FloatArray) -> tuple[Ties, FloatArray]:

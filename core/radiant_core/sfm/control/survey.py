@@ -21,7 +21,7 @@ from radiant_core.io.photos.listing import Photograph
 from radiant_core.numerics import FloatArray
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.config import Report, SfmProgress
-from radiant_core.sfm.control.adjust import Adjusted, Known, adjust, with_sigmas
+from radiant_core.sfm.control.adjust import Adjusted, Measurements, adjust, with_sigmas
 from radiant_core.sfm.control.before_matching import MIN_CONTROL, is_spread, require_spread
 from radiant_core.sfm.control.bundle import Bundle, Ties, bundle_of, write_back
 from radiant_core.sfm.control.counting import claim_warning, counting_positions
@@ -70,8 +70,8 @@ class Surveyed:
             parts.append(f"{_some(self.control.num_counting, self.control.num_points)} ground control points")
         if self.num_positions:
             parts.append(f"{_some(self.num_positions_counting, self.num_positions)} camera positions of known accuracy")
-        said = self.check or self.control
-        figure = said.rms_axis_m if said is not None else self.positions_rms_m or 0.0
+        quality = self.check or self.control
+        figure = quality.rms_axis_m if quality is not None else self.positions_rms_m or 0.0
         of = f"RMS per axis of {self.check.num_points} check points" if self.check else "RMS per axis of what was adjusted to"
         reason = f"{self.check.expected_axis_m:.3g} m were expected" if self.check else "no check points were kept out"
         return Decision(
@@ -96,12 +96,12 @@ def adjust_to_survey(
     marked = None if control is None else marks_of(control, bundle)
     started = _start(bundle, None if marked is None or marked.is_check.all() else marked, gps_m)
     chosen, some = _chosen_ties(started, ties)
-    known = _known(marked, gps_m, gps_sigmas_m)
-    adjusted, known = _adjust_rounds(chosen, some, known, marked)
+    measurements = _measurements(marked, gps_m, gps_sigmas_m)
+    adjusted, measurements = _adjust_rounds(chosen, some, measurements, marked)
     finished = _with_all_points(adjusted, started, ties)
     write_back(finished, model)
     report(SfmProgress(phase="refining", done=len(bundle.names), total=len(bundle.names)))
-    return _surveyed(adjusted, known, marked, control, origin)
+    return _surveyed(adjusted, measurements, marked, control, origin)
 
 
 def _start(bundle: Bundle, marked: Marked | None, gps_m: FloatArray) -> Bundle:
@@ -116,8 +116,8 @@ def _start(bundle: Bundle, marked: Marked | None, gps_m: FloatArray) -> Bundle:
         source, target = intersect_rays(bundle, marks, len(rows)), marked.places_m[rows]
         require_spread(target)
     else:
-        known = np.isfinite(gps_m[:, 0])
-        source, target = bundle.centers[known], gps_m[known]
+        has_gps = np.isfinite(gps_m[:, 0])
+        source, target = bundle.centers[has_gps], gps_m[has_gps]
         if not is_spread(target):
             raise BadInput(
                 "all points of ground control that can be used are kept out for checking, and no positions of known accuracy place the "
@@ -132,9 +132,9 @@ def _start(bundle: Bundle, marked: Marked | None, gps_m: FloatArray) -> Bundle:
 def _fix_a_scene(bundle: Bundle, geodetic: FloatArray) -> bool:
     """Whether positions (C,3) alone fix all of a frame; else they place it as those of any receiver
     do, with what the scene says of up."""
-    known = np.isfinite(geodetic[:, 0])
-    positions_m = positions_about(geodetic, middle_of(geodetic))[known]
-    return is_spread(positions_m) and robust_sim3(bundle.centers[known], positions_m).status == "ok"
+    has_gps = np.isfinite(geodetic[:, 0])
+    positions_m = positions_about(geodetic, middle_of(geodetic))[has_gps]
+    return is_spread(positions_m) and robust_sim3(bundle.centers[has_gps], positions_m).status == "ok"
 
 
 def _some(counting: int, total: int) -> str:
@@ -156,16 +156,16 @@ def _chosen_ties(bundle: Bundle, ties: Ties) -> tuple[Bundle, Ties]:
     order = np.lexsort((ties.points, -tracks[ties.points], ties.images))
     starts = np.searchsorted(ties.images[order], np.arange(len(bundle.names)))
     rank = np.arange(len(order)) - starts[ties.images[order]]
-    kept = np.unique(ties.points[order[rank < TIES_PER_IMAGE]])
-    own = ties.at(np.isin(ties.points, kept))
-    some = replace(own, points=np.searchsorted(kept, own.points))
-    return replace(bundle, points=bundle.points[kept], point_ids=bundle.point_ids[kept]), some
+    point_rows = np.unique(ties.points[order[rank < TIES_PER_IMAGE]])
+    chosen = ties.at(np.isin(ties.points, point_rows))
+    some = replace(chosen, points=np.searchsorted(point_rows, chosen.points))
+    return replace(bundle, points=bundle.points[point_rows], point_ids=bundle.point_ids[point_rows]), some
 
 
-def _known(marked: Marked | None, gps_m: FloatArray, gps_sigmas_m: FloatArray) -> Known:
+def _measurements(marked: Marked | None, gps_m: FloatArray, gps_sigmas_m: FloatArray) -> Measurements:
     empty = Ties(images=np.zeros(0, np.int64), points=np.zeros(0, np.int64), pixels=np.zeros((0, 2)))
     rows, marks = (np.zeros(0, np.int64), empty) if marked is None else marked.rows(check=False)
-    return Known(
+    return Measurements(
         places_m=np.zeros((0, 3)) if marked is None else marked.places_m[rows],
         sigmas_m=np.ones(3) if marked is None else marked.sigmas_m,
         marks=marks,
@@ -176,14 +176,14 @@ def _known(marked: Marked | None, gps_m: FloatArray, gps_sigmas_m: FloatArray) -
     )
 
 
-def _adjust_rounds(bundle: Bundle, ties: Ties, known: Known, marked: Marked | None) -> tuple[Adjusted, Known]:
+def _adjust_rounds(bundle: Bundle, ties: Ties, measurements: Measurements, marked: Marked | None) -> tuple[Adjusted, Measurements]:
     """Adjust, see what ties and marks are good for, and adjust again."""
     # The old points are off by how far the start is from the survey; cameras are right among them.
-    adjusted = adjust(bundle, ties, known)
+    adjusted = adjust(bundle, ties, measurements)
     for _ in range(ROUNDS):
-        known = with_sigmas(known, *_sigmas_px(adjusted, ties, marked))
-        adjusted = adjust(adjusted.bundle, ties, known)
-    return adjusted, known
+        measurements = with_sigmas(measurements, *_sigmas_px(adjusted, ties, marked))
+        adjusted = adjust(adjusted.bundle, ties, measurements)
+    return adjusted, measurements
 
 
 def _sigmas_px(adjusted: Adjusted, ties: Ties, marked: Marked | None) -> tuple[float, float]:
@@ -213,18 +213,18 @@ def _with_all_points(adjusted: Adjusted, started: Bundle, ties: Ties) -> Bundle:
 
 
 def _surveyed(
-    adjusted: Adjusted, known: Known, marked: Marked | None, control: ControlPoints | None, origin: FloatArray | None
+    adjusted: Adjusted, measurements: Measurements, marked: Marked | None, control: ControlPoints | None, origin: FloatArray | None
 ) -> Surveyed:
-    points, warnings, doubts = judged_points(adjusted, known, marked) if marked is not None else ((), (), ())
-    misses = known.gps_m - adjusted.bundle.centers - adjusted.shift_m
+    points, warnings, doubts = judged_points(adjusted, measurements, marked) if marked is not None else ((), (), ())
+    misses = measurements.gps_m - adjusted.bundle.centers - adjusted.shift_m
     has_gps = np.isfinite(misses).all(axis=1)
     rms = float(np.sqrt(np.mean(np.square(misses[has_gps])))) if has_gps.any() else None
     kind = "scaled" if origin is None else "metric"
-    claims = claim_warning(misses, known.gps_sigmas_m)
-    counting = counting_positions(misses, known.gps_sigmas_m)
-    scale_sigma = scale_by_points(points, known.places_m, known.sigmas_m)
+    claims = claim_warning(misses, measurements.gps_sigmas_m)
+    counting = counting_positions(misses, measurements.gps_sigmas_m)
+    scale_sigma = scale_by_points(points, measurements.places_m, measurements.sigmas_m)
     if scale_sigma is None:
-        scale_sigma = scale_by_positions(known.gps_m[counting], misses[counting], known.gps_sigmas_m[counting])
+        scale_sigma = scale_by_positions(measurements.gps_m[counting], misses[counting], measurements.gps_sigmas_m[counting])
     east, north, up = adjusted.shift_m.tolist()
     return Surveyed(
         frame=Frame(kind=kind, origin_lat_lon_alt=np.zeros(3) if origin is None else origin, residual_m=rms),
@@ -235,10 +235,10 @@ def _surveyed(
         num_positions_counting=int(counting.sum()),
         positions_rms_m=rms,
         shift_m=(east, north, up),
-        tie_sigma_px=known.tie_sigma_px,
-        mark_sigma_px=known.mark_sigma_px,
+        tie_sigma_px=measurements.tie_sigma_px,
+        mark_sigma_px=measurements.mark_sigma_px,
         system="WGS84" if control is None else control.system,
-        warnings=(*(() if control is None else control.warnings), *warnings, *blunders(points, known), *doubts, *claims),
+        warnings=(*(() if control is None else control.warnings), *warnings, *blunders(points, measurements), *doubts, *claims),
         doubts=(*doubts, *claims),
         scale_sigma=scale_sigma,
     )

@@ -69,13 +69,13 @@ def _decode(path: Path, max_side_px: int) -> tuple[NDArray[np.uint8], int]:
 def _detect(grey: NDArray[np.uint8], most: int, mask: NDArray[np.uint8] | None) -> Features:
     shape = LAYERS, CONTRAST, EDGE, 1.6, cv2.CV_32F, True
     sift = cv2.SIFT_create(FOUND_PER_KEPT * most, *shape)  # pyright: ignore
-    found, histograms = sift.detectAndCompute(grey, mask)
-    if not found:
+    points, histograms = sift.detectAndCompute(grey, mask)
+    if not points:
         return Features(keypoints=np.zeros((0, 4), np.float32), descriptors=np.zeros((0, NUM_BYTES), np.uint8))
-    sizes = np.array([point.size for point in found])
+    sizes = np.array([point.size for point in points])
     # Equal ones, such as the two orientations of a feature, in the order found.
     largest = np.argsort(-sizes, kind="stable")[:most]
-    rows = [(found[i].pt[0] + 0.5, found[i].pt[1] + 0.5, found[i].size / 2, np.radians(found[i].angle)) for i in largest.tolist()]
+    rows = [(points[i].pt[0] + 0.5, points[i].pt[1] + 0.5, points[i].size / 2, np.radians(points[i].angle)) for i in largest.tolist()]
     return Features(keypoints=np.array(rows, np.float32), descriptors=root_descriptors(np.asarray(histograms, np.float32)[largest]))
 
 

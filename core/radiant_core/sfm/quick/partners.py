@@ -36,12 +36,12 @@ def choose_partners(candidates: Pairs, scores: NDArray[np.int64], num_photograph
     ends = candidates[usable]
     num_far = int(FAR_SHARE * num_partners)
     for photograph in range(num_photographs):
-        own = usable[(ends == photograph).any(axis=1)]
-        own = own[np.argsort(-scores[own], kind="stable")]
-        near, rest = own[: num_partners - num_far], own[num_partners - num_far :]
-        sure = rest[scores[rest] >= SURE_SCORE]
+        rows = usable[(ends == photograph).any(axis=1)]
+        rows = rows[np.argsort(-scores[rows], kind="stable")]
+        near, farther = rows[: num_partners - num_far], rows[num_partners - num_far :]
+        sure = farther[scores[farther] >= SURE_SCORE]
         # The weakest first, the others at equal steps of rank.
-        far = sure[np.linspace(len(sure) - 1, 0, num_far, dtype=int)] if len(sure) > num_far else rest[:num_far]
+        far = sure[np.linspace(len(sure) - 1, 0, num_far, dtype=int)] if len(sure) > num_far else farther[:num_far]
         chosen[near] = chosen[far] = True
     return chosen
 

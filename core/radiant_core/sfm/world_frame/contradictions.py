@@ -40,7 +40,7 @@ class Contradiction:
 
     sentence: str
     is_gross: bool
-    taken: str
+    outcome: str
     """What is taken where the work goes on, such as "--height is taken"."""
     remedy: str
     """What to do, as an imperative."""
@@ -49,11 +49,11 @@ class Contradiction:
 def settle(contradictions: Iterable[Contradiction], policy: Contradictions) -> tuple[str, ...]:
     """Warnings of those that are left to the user; BadInput for gross ones under "stop"."""
     warnings = []
-    for found in contradictions:
-        if found.is_gross and policy == "stop":
-            remedy = found.remedy[0].upper() + found.remedy[1:]
-            raise BadInput(f"{found.sentence}. {remedy}; with --contradictions warn {found.taken}.")
-        warnings.append(f"{found.sentence}; {found.taken}.")
+    for contradiction in contradictions:
+        if contradiction.is_gross and policy == "stop":
+            remedy = contradiction.remedy[0].upper() + contradiction.remedy[1:]
+            raise BadInput(f"{contradiction.sentence}. {remedy}; with --contradictions warn {contradiction.outcome}.")
+        warnings.append(f"{contradiction.sentence}; {contradiction.outcome}.")
     return tuple(warnings)
 
 
@@ -86,7 +86,7 @@ def contradicting_scale(ratio: float, sigma: float, option: str, by_gps: str) ->
         sentence=f"{option} and the photographs' GPS contradict each other: by GPS, whose scale is known to {100 * sigma:.2g} %, "
         f"{by_gps}{_unit_cause(ratio)}",
         is_gross=off > max(GROSS_SCALE, GROSS_SIGMAS * sigma),
-        taken=f"{name} is taken, which makes the scene {ratio:.3g} times as large",
+        outcome=f"{name} is taken, which makes the scene {ratio:.3g} times as large",
         remedy=f"correct {name}, or leave it out to go by GPS",
     )
 
@@ -101,7 +101,7 @@ def contradicting_north(turn_deg: float, sigma_deg: float, option: str, heading_
         sentence=f"{option} and the photographs' GPS contradict each other: by GPS, which fixes north to {sigma_deg:.1f}°, the photograph "
         f"looks to {heading_deg % 360:.0f}°, {off:.0f}° away",
         is_gross=True,
-        taken="--north is taken, which turns the scene on the map",
+        outcome="--north is taken, which turns the scene on the map",
         remedy="correct --north, or leave it out, for GPS says where north is",
     )
 
@@ -114,7 +114,7 @@ def contradicting_up(lean_deg: float, sigma_deg: float, option: str) -> Contradi
     return Contradiction(
         sentence=f"{option} puts up {lean_deg:.0f}° away from where the photographs' GPS has it, which is known to {sigma_deg:.1f}°",
         is_gross=lean_deg > GROSS_LEAN_DEG,
-        taken="--up is taken",
+        outcome="--up is taken",
         remedy="correct --up, or leave it out to go by GPS",
     )
 

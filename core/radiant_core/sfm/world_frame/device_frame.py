@@ -94,10 +94,10 @@ def device_frame(
         return RefusedFrame(
             reason=f"only {num_inliers} of {len(names)} GPS positions agree with one similarity, expected {MIN_POSITIONS} or more."
         )
-    found = _with_up(scene, centers, positions_m, fit, seed)
-    if found is None:
+    oriented = _with_up(scene, centers, positions_m, fit, seed)
+    if oriented is None:
         return RefusedFrame(reason="its GPS positions do not differ horizontally, which leaves heading and scale open.")
-    common_from_device, up_source, up_rad = found
+    common_from_device, up_source, up_rad = oriented
     sigma_m = _sigma_m(common_from_device, centers, positions_m, fit.inliers)
     uncertainty = _uncertainty(common_from_device.apply(centers[fit.inliers]), sigma_m, up_rad)
     refusal = _refusal(uncertainty, sigma_m, extent_m)

@@ -126,16 +126,16 @@ class Placement:
     def check_names(self, names: Iterable[str], *, of_model: bool) -> None:
         """Raise BadInput where a photograph is named that is not among `names`, or a direction for
         photographs that have no frame yet."""
-        known = set(names)
+        known_names = set(names)
         if self.distance is not None:
-            self._pair(known)
+            self._pair(known_names)
         if self.vector is not None:
             if not of_model:
                 raise BadInput(
                     f"--up {self.up} is a direction in the frame of a COLMAP project, and photographs have none yet: "
                     f"use {', '.join(UP_CHOICES[1:])}, or the name of a photograph whose top edge is up."
                 )
-        elif self.up not in UP_CHOICES and self.up not in known:
+        elif self.up not in UP_CHOICES and self.up not in known_names:
             raise BadInput(f"--up {self.up!r} is unknown: expected {UP_EXPECTED}.")
 
     def check_copies(self, copies: Mapping[str, str]) -> None:
@@ -183,14 +183,14 @@ class Placement:
             raise BadInput(f"the photographs {where}, which fixes no scale: give --distance of two that lie apart.")
         return metres / length
 
-    def _pair(self, known: set[str]) -> tuple[str, str, float]:
+    def _pair(self, known_names: set[str]) -> tuple[str, str, float]:
         assert self.distance is not None
         names, metres = _split_distance(self.distance)
         # A name may hold a comma itself.
         splits = [(names[:at], names[at + 1 :]) for at, letter in enumerate(names) if letter == ","]
-        pair = next(((a.strip(), b.strip()) for a, b in splits if a.strip() in known and b.strip() in known), None)
+        pair = next(((a.strip(), b.strip()) for a, b in splits if a.strip() in known_names and b.strip() in known_names), None)
         if pair is None:
-            lost = [part.strip() for part in names.split(",") if part.strip() not in known]
+            lost = [part.strip() for part in names.split(",") if part.strip() not in known_names]
             raise BadInput(f"--distance names {', '.join(map(repr, lost))}, which has no pose or is no photograph here: name two others.")
         if pair[0] == pair[1]:
             raise BadInput(f"--distance names {pair[0]!r} twice: name two photographs that lie apart.")

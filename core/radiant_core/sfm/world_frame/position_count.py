@@ -58,8 +58,8 @@ def count_positions(names: tuple[str, ...], positions_m: FloatArray, fit: Alignm
     if residuals_m is None:
         return PositionCount(num_photographs=len(names), num_positions=len(rows), num_counting=0)
     counts = fit.inliers | (residuals_m <= RECEIVER_M)
-    left = np.flatnonzero(~counts)
-    ordered = left[np.argsort(-residuals_m[left], kind="stable")]
+    outliers = np.flatnonzero(~counts)
+    ordered = outliers[np.argsort(-residuals_m[outliers], kind="stable")]
     return PositionCount(
         num_photographs=len(names),
         num_positions=len(rows),

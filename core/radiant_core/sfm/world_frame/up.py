@@ -103,10 +103,13 @@ def estimate_up(cameras: Cameras, points: FloatArray, seed: int = 0, only: Seque
         size = f"{len(points)} points and {len(cameras)} photographs"
         raise BadInput(f"up cannot be taken from the {_join(only or ())}: the scene of {size} does not show it, give --up another way.")
     # Pictures that stand upright are trusted only where that contradicts less.
-    found = [_solutions(cues) for cues in readings]
-    best = min(range(len(found)), key=lambda index: (found[index][0][1], index))
-    cues, (up, cost) = readings[best], found[best][0]
-    rival = next((other for other, other_cost in found[best] if _angle_rad(up, other) > RIVAL_RAD and other_cost < cost + RIVAL_COST), None)
+    solutions = [_solutions(cues) for cues in readings]
+    best = min(range(len(solutions)), key=lambda index: (solutions[index][0][1], index))
+    cues, (up, cost) = readings[best], solutions[best][0]
+    rival = next(
+        (rival_up for rival_up, other_cost in solutions[best] if _angle_rad(up, rival_up) > RIVAL_RAD and other_cost < cost + RIVAL_COST),
+        None,
+    )
     upward = float(_upward(cameras, on_their_side=best == 1) @ up)
     up = up if upward >= 0 else -up
     agreeing = [cue for cue in cues if cue.cost(up) < MAX_COST]
@@ -175,21 +178,21 @@ def _uncertainty_deg(agreeing: Sequence[Cue], up: FloatArray) -> float:
         return 90.0
     total = sum((cue.information for cue in agreeing), np.zeros((3, 3)))
     across = np.eye(3) - np.outer(up, up)
-    known = float(np.linalg.eigvalsh(across @ total @ across + 1e12 * np.outer(up, up))[0])
+    least_information = float(np.linalg.eigvalsh(across @ total @ across + 1e12 * np.outer(up, up))[0])
     excess = max(1.0, sum(cue.cost(up) for cue in agreeing) / max(1, len(agreeing) - 1))
-    return min(90.0, float(np.degrees(np.sqrt(excess / max(known, NOTHING)))))
+    return min(90.0, float(np.degrees(np.sqrt(excess / max(least_information, NOTHING)))))
 
 
 def _shared_cues(cameras: Cameras, points: FloatArray, seed: int) -> list[Cue]:
     """All cues but that of the level cameras."""
     rotations = cameras.cam_from_world[:, :3, :3]
-    found = (
+    cues = (
         _ground_cue(points, seed),
         _level_scatter_cue(PATH, cameras.centers, SLOPE_RAD) if len(cameras) > 3 else None,
         _mean_cue(DOWN, -rotations[:, 2], MAX_DOWN_SPREAD_RAD, MIN_MOUNT_RAD),
         _mean_cue(UPRIGHT, -rotations[:, 1], MAX_UPRIGHT_SPREAD_RAD, MIN_PITCH_RAD),
     )
-    return [cue for cue in found if cue is not None]
+    return [cue for cue in cues if cue is not None]
 
 
 def _mean_cue(name: str, directions: FloatArray, max_spread_rad: float, sigma_rad: float) -> Cue | None:

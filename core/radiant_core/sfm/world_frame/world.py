@@ -86,15 +86,15 @@ def scene_in_world(
     cameras = cameras_of(model)
     by_name = {photo.name: photo for photo in photographs}
     positions_m, origin = gps_positions(tuple(by_name[name] for name in cameras.names))
-    given = placement.given_up(cameras, model.points.xyz, seed)
-    forced = given is not None
-    up = given or estimate_up(cameras, model.points.xyz, seed)
+    given_up = placement.given_up(cameras, model.points.xyz, seed)
+    forced = given_up is not None
+    up = given_up or estimate_up(cameras, model.points.xyz, seed)
     heights = fill_heights(cameras.centers, model.points.xyz, (positions_m, origin), lambda: up.up)
     positions_m = heights.positions_m
-    known = np.isfinite(positions_m[:, 0])
-    fit = robust_sim3(cameras.centers[known], positions_m[known], seed)
+    has_gps = np.isfinite(positions_m[:, 0])
+    fit = robust_sim3(cameras.centers[has_gps], positions_m[has_gps], seed)
     gps = _judge(fit, cameras, up, forced=forced)
-    metric, warnings = _metric_from_model(cameras.centers[known], positions_m[known], gps, up, scaled=placement.gives_scale)
+    metric, warnings = _metric_from_model(cameras.centers[has_gps], positions_m[has_gps], gps, up, scaled=placement.gives_scale)
     as_given = kept_from_world(cameras, model.points.xyz, model.observations(), _lean_deg(up, forced)) if keeps_frame else None
     world_from_model = metric or as_given or unscaled_from_world(cameras, model.points.xyz, model.observations(), up.up)
     world_from_model, scaled = rescale(world_from_model, move_scene(model, cameras, world_from_model, UNSCALED), placement)
@@ -103,11 +103,11 @@ def scene_in_world(
     against: tuple[str, ...] = ()
     residuals_m = None
     if metric is not None:
-        found = _against_gps(placement, gps, scaled, turned)
-        against = settle(found, placement.contradictions)
-        if turned and not any("--north" in each.taken for each in found):
+        contradictions = _against_gps(placement, gps, scaled, turned)
+        against = settle(contradictions, placement.contradictions)
+        if turned and not any("--north" in contradiction.outcome for contradiction in contradictions):
             world_from_turned, turned = world_from_model, (agreeing_north(turned[0]),)
-        residuals_m = np.linalg.norm(world_from_turned.apply(cameras.centers[known]) - positions_m[known], axis=1)
+        residuals_m = np.linalg.norm(world_from_turned.apply(cameras.centers[has_gps]) - positions_m[has_gps], axis=1)
         frame = Frame(
             kind="metric",
             origin_lat_lon_alt=heights.origin,
@@ -125,7 +125,7 @@ def scene_in_world(
             *(() if by_gps else (_up_decision(up, forced),)),
             *scaled,
             *turned,
-            _frame_decision(frame, gps, up, int(known.sum()), forced=forced),
+            _frame_decision(frame, gps, up, int(has_gps.sum()), forced=forced),
         ),
         warnings=(*heights.warnings, *warnings, *count.warning, *against, *doubts),
         doubts=(*count.warning, *against, *doubts),
@@ -153,17 +153,17 @@ def _against_gps(
 ) -> tuple[Contradiction, ...]:
     """What the user says that contradicts a frame by GPS; decisions as `rescale` and
     `turn_to_north`."""
-    found: list[Contradiction | None] = []
+    contradictions: list[Contradiction | None] = []
     for decision in scaled:
         factor = decision.figure or 1.0
-        found.append(contradicting_scale(factor, scale_sigma(gps.fit), placement.length_option, placement.length_by(factor)))
+        contradictions.append(contradicting_scale(factor, scale_sigma(gps.fit), placement.length_option, placement.length_by(factor)))
     for decision in turned:
         turn_deg = decision.figure or 0.0
         option = f"--north {placement.north}"
-        found.append(contradicting_north(turn_deg, heading_sigma_deg(gps.fit), option, placement.north_deg + turn_deg))
+        contradictions.append(contradicting_north(turn_deg, heading_sigma_deg(gps.fit), option, placement.north_deg + turn_deg))
     if gps.verdict == "overruled" and gps.fit.status == "ok" and not gps.is_rolled:
-        found.append(contradicting_up(gps.lean_deg, gps.up_deg, f"--up {placement.up}"))
-    return tuple(each for each in found if each is not None)
+        contradictions.append(contradicting_up(gps.lean_deg, gps.up_deg, f"--up {placement.up}"))
+    return tuple(contradiction for contradiction in contradictions if contradiction is not None)
 
 
 def _lean_deg(up: UpEstimate, forced: bool) -> float:
@@ -229,8 +229,8 @@ def _metric_from_model(
         else "so the scene has no metric scale: lengths are in arbitrary units (--distance or --height give one)."
     )
     if gps.verdict == "too few":
-        what = f"only {len(centers)} registered photographs have GPS" if len(centers) else "the photographs have no GPS"
-        return None, (f"{what}, {lost}",)
+        subject = f"only {len(centers)} registered photographs have GPS" if len(centers) else "the photographs have no GPS"
+        return None, (f"{subject}, {lost}",)
     level = level_fit(centers[gps.fit.inliers], positions_m[gps.fit.inliers], up.up) if gps.verdict != "inconsistent" else None
     if level is None:
         why = "(positions all alike, too rough for this site, or photographs placed wrongly)"

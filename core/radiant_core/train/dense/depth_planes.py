@@ -69,10 +69,10 @@ def match_planes(
     first, step = STEP_PX // 2, STEP_PX
     shape = (height - 1 - first) // step + 1, (width - 1 - first) // step + 1
     K = pixel_matrix(cameras, reference)
-    maps = np.stack([_map_to(cameras, reference, int(other)) for other in indices[1:]])
+    maps = np.stack([_map_to(cameras, reference, int(partner)) for partner in indices[1:]])
     low, high = np.quantile(sparse.inverse_depths, RANGE_QUANTILES)
     moved_px = np.array([_pixels_per_inverse_depth(one, (width, height), float(np.median(sparse.inverse_depths))) for one in maps])
-    found = _native.match_planes(
+    planes_and_costs = _native.match_planes(
         np.ascontiguousarray(images[0]),
         [np.ascontiguousarray(image) for image in images[1:]],
         maps,
@@ -83,7 +83,7 @@ def match_planes(
         seed,
         num_threads,
     )
-    return DepthPlanes(planes=found[:3], costs=found[3], first=first, step=step)
+    return DepthPlanes(planes=planes_and_costs[:3], costs=planes_and_costs[3], first=first, step=step)
 
 
 def pixel_matrix(cameras: Cameras, index: int) -> FloatArray:
@@ -120,12 +120,12 @@ def first_candidates(
     return np.ascontiguousarray(np.stack([facing, flat]), np.float32)
 
 
-def _map_to(cameras: Cameras, reference: int, other: int) -> FloatArray:
-    """(12,): M row by row and m of p' = M (x, y, 1) + m w, homogeneous pixels of `other`."""
-    other_from_reference = cameras.cam_from_world[other] @ np.linalg.inv(cameras.cam_from_world[reference])
-    K_other = pixel_matrix(cameras, other)
-    matrix = K_other @ other_from_reference[:3, :3] @ np.linalg.inv(pixel_matrix(cameras, reference))
-    return np.concatenate([matrix.ravel(), K_other @ other_from_reference[:3, 3]])
+def _map_to(cameras: Cameras, reference: int, partner: int) -> FloatArray:
+    """(12,): M row by row and m of p' = M (x, y, 1) + m w, homogeneous pixels of `partner`."""
+    partner_from_reference = cameras.cam_from_world[partner] @ np.linalg.inv(cameras.cam_from_world[reference])
+    K_partner = pixel_matrix(cameras, partner)
+    matrix = K_partner @ partner_from_reference[:3, :3] @ np.linalg.inv(pixel_matrix(cameras, reference))
+    return np.concatenate([matrix.ravel(), K_partner @ partner_from_reference[:3, 3]])
 
 
 def _pixels_per_inverse_depth(one: FloatArray, size_wh: tuple[int, int], w: float) -> float:

@@ -55,28 +55,28 @@ def agreed_points(
     maps: Sequence[DepthPlanes | None], cameras: Cameras, index: int, partners: NDArray[np.int64], image: NDArray[np.uint8]
 ) -> DensePoints:
     """The points of photograph `index` (H,W,3) that enough of its partners agree on."""
-    own = maps[index]
-    if own is None:
+    reference = maps[index]
+    if reference is None:
         return no_points()
-    seen = [index, *(int(partner) for partner in partners if maps[int(partner)] is not None)]
-    planes = [lattice for at in seen if (lattice := maps[at]) is not None]
+    view_indices = [index, *(int(partner) for partner in partners if maps[int(partner)] is not None)]
+    planes = [lattice for at in view_indices if (lattice := maps[at]) is not None]
     sums, agreeing = _native.sum_agreeing(
         [np.ascontiguousarray(lattice.planes) for lattice in planes],
-        np.ascontiguousarray(own.costs),
-        np.stack([_numbers(lattice, cameras, at) for lattice, at in zip(planes, seen, strict=True)]),
+        np.ascontiguousarray(reference.costs),
+        np.stack([_numbers(lattice, cameras, at) for lattice, at in zip(planes, view_indices, strict=True)]),
         np.array([MAX_COST, MAX_REPROJECTION_PX, MAX_DEPTH_DIFFERENCE]),
     )
-    kept = np.flatnonzero(agreeing >= MIN_AGREEING)
-    pixels, (w, a, b) = own.pixels_of(kept), own.planes.reshape(3, -1)[:, kept].astype(np.float64)
+    agreed_rows = np.flatnonzero(agreeing >= MIN_AGREEING)
+    pixels, (w, a, b) = reference.pixels_of(agreed_rows), reference.planes.reshape(3, -1)[:, agreed_rows].astype(np.float64)
     K, pose = pixel_matrix(cameras, index), cameras.cam_from_world[index]
     x, y = pixels.astype(np.int64).T
     return DensePoints(
-        points=sums[kept] / (1 + agreeing[kept, None]),
+        points=sums[agreed_rows] / (1 + agreeing[agreed_rows, None]),
         normals=_normals(pixels, np.stack([w, a, b]), K, pose),
         colors=image[y, x],
         pixels_m=1 / (w * K[0, 0]),
-        costs=own.costs.ravel()[kept].astype(np.float64),
-        views=np.full(len(kept), index),
+        costs=reference.costs.ravel()[agreed_rows].astype(np.float64),
+        views=np.full(len(agreed_rows), index),
     )
 
 

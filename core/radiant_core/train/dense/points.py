@@ -43,10 +43,10 @@ def dense_points(scene: SfmScene, views: TrainingViews, *, most: int, seed: int 
     maps = depth_maps(scene, views, partners, seed=seed, num_threads=num_threads)
     parts = []
     for index in range(len(views)):
-        found = agreed_points(maps, views.cameras, index, partners[index], views.images[index])
-        if views.weights is not None and len(found):
-            found = found.select(_counts(views.weights[index], found, views, index))
-        parts.append(found)
+        points = agreed_points(maps, views.cameras, index, partners[index], views.images[index])
+        if views.weights is not None and len(points):
+            points = points.select(_counts(views.weights[index], points, views, index))
+        parts.append(points)
     return thinned(concatenate_points(parts), most)
 
 
@@ -63,7 +63,7 @@ def depth_maps(
     *,
     seed: int,
     num_threads: int,
-    report: Callable[[int], None] = lambda done: None,
+    report: Callable[[int], None] = lambda num_done: None,
 ) -> list[DepthPlanes | None]:
     """Planes of each photograph; None where it has no partner or too few sparse points. `report`
     hears how many photographs are done."""
@@ -95,9 +95,9 @@ def _sparse_of(points: FloatArray, views: TrainingViews, index: int) -> SparseDe
     return SparseDepths(pixels=pixels, inverse_depths=1 / in_camera[:, 2])
 
 
-def _counts(weights: NDArray[np.uint8], found: DensePoints, views: TrainingViews, index: int) -> NDArray[np.bool_]:
+def _counts(weights: NDArray[np.uint8], points: DensePoints, views: TrainingViews, index: int) -> NDArray[np.bool_]:
     K, pose = pixel_matrix(views.cameras, index), views.cameras.cam_from_world[index]
-    in_camera = found.points @ pose[:3, :3].T + pose[:3, 3]
+    in_camera = points.points @ pose[:3, :3].T + pose[:3, 3]
     pixels = np.rint(in_camera[:, :2] / in_camera[:, 2:] * np.diag(K)[:2] + K[:2, 2]).astype(np.int64)
     x, y = pixels.clip(0, views.cameras.sizes_wh[index] - 1).T
     return 2 * weights[y, x].astype(np.int64) > 255

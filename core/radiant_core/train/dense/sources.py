@@ -35,13 +35,13 @@ def choose_sources(scene: SfmScene, most: int) -> list[NDArray[np.int64]]:
     sees = csr_matrix((np.ones(len(camera), np.int32), (camera, point)), shape=(num_cameras, len(scene.points)))
     shared = (sees @ sees.T).toarray()
     np.fill_diagonal(shared, 0)
-    seen = [sees.indices[sees.indptr[index] : sees.indptr[index + 1]] for index in range(num_cameras)]
+    points_by_camera = [sees.indices[sees.indptr[index] : sees.indptr[index + 1]] for index in range(num_cameras)]
     chosen = []
     for index in range(num_cameras):
         partners = np.argsort(-shared[index], kind="stable")[:NUM_COMPARED]
         partners = partners[shared[index, partners] >= MIN_SHARED]
-        common = [np.intersect1d(seen[index], seen[other], assume_unique=True) for other in partners]
-        angles = np.array([_angle_deg(scene, points, index, other) for points, other in zip(common, partners, strict=True)])
+        common = [np.intersect1d(points_by_camera[index], points_by_camera[partner], assume_unique=True) for partner in partners]
+        angles = np.array([_angle_deg(scene, points, index, partner) for points, partner in zip(common, partners, strict=True)])
         low, high = BEST_ANGLES_DEG
         with np.errstate(divide="ignore"):
             scores = shared[index, partners] * np.minimum(1, angles / low) * np.minimum(1, high / angles)
@@ -50,11 +50,11 @@ def choose_sources(scene: SfmScene, most: int) -> list[NDArray[np.int64]]:
     return chosen
 
 
-def _angle_deg(scene: SfmScene, points: NDArray[np.integer], one: int, other: int) -> float:
+def _angle_deg(scene: SfmScene, points: NDArray[np.integer], reference: int, partner: int) -> float:
     """Median angle at shared points between the lines to two cameras; 0 where there is none."""
     sampled = scene.points[points[:: max(1, len(points) // NUM_SAMPLED)]]
     centers = scene.cameras.centers
-    first, second = _directions(centers[one], sampled), _directions(centers[other], sampled)
+    first, second = _directions(centers[reference], sampled), _directions(centers[partner], sampled)
     return float(np.degrees(np.median(np.arccos(np.clip((first * second).sum(axis=1), -1, 1))))) if len(sampled) else 0.0
 
 

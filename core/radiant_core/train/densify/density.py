@@ -90,10 +90,10 @@ def density_edit(
     log_scales[children] += np.float32(math.log(CHILD_SCALE))
     seen_px = np.where(np.arange(len(rows)) < num_kept, radii_px[rows], 0)
     transparent, large = select_prunable(model["logit_opacities"][rows], log_scales.max(axis=1, initial=-np.inf), seen_px, rules)
-    kept = ~(transparent | large)
-    if len(rows) and not kept.any():
-        kept[np.argmax(model["logit_opacities"][rows])] = True
-    order = np.flatnonzero(kept)[morton_order(means[kept])]
+    keep_mask = ~(transparent | large)
+    if len(rows) and not keep_mask.any():
+        keep_mask[np.argmax(model["logit_opacities"][rows])] = True
+    order = np.flatnonzero(keep_mask)[morton_order(means[keep_mask])]
     return DensityEdit(
         rows=rows[order],
         fresh=order >= num_kept,
@@ -102,8 +102,8 @@ def density_edit(
         counts=DensityCounts(
             num_cloned=int(clone.sum()),
             num_split=len(parents),
-            num_pruned_transparent=int((transparent & ~kept).sum()),
-            num_pruned_large=int((large & ~transparent & ~kept).sum()),
+            num_pruned_transparent=int((transparent & ~keep_mask).sum()),
+            num_pruned_large=int((large & ~transparent & ~keep_mask).sum()),
             num_refused=num_refused,
         ),
     )
@@ -157,37 +157,39 @@ def select_prunable(
 
 class DensityStatistics:
     """What renderings say of N Gaussians: sums (N,) float32 of the lengths of their gradients,
-    seen (N,) int32 in how many, radii_px (N,) float32 the largest. numpy arrays on the CPU, tensors
-    elsewhere."""
+    view_counts (N,) int32 in how many, radii_px (N,) float32 the largest. numpy arrays on the CPU,
+    tensors elsewhere."""
 
     def __init__(self, count: int, device: torch.device) -> None:
         self.sums, self.radii_px = (_as_plain(torch.zeros(count, dtype=torch.float32, device=device)) for _ in range(2))
-        self.seen = _as_plain(torch.zeros(count, dtype=torch.int32, device=device))
+        self.view_counts = _as_plain(torch.zeros(count, dtype=torch.int32, device=device))
 
     def add_gradient(self, visible: Any, size_wh: tuple[int, int], absgrad: Tensor | None, gradient: Tensor) -> None:
         """Add the gradient (1,N,2) of a rendering's projected centres, or its `absgrad`."""
         # numpy on the CPU, torch on a GPU: torch's threads would spin on after each (libgomp).
-        taken = _as_plain(gradient if absgrad is None else absgrad)
-        across, down = (taken[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
+        means2d_gradient = _as_plain(gradient if absgrad is None else absgrad)
+        across, down = (means2d_gradient[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
         with np.errstate(over="ignore", invalid="ignore"):
             length = (across * across + down * down) ** 0.5
             # A step whose gradient is not finite is not taken nor counted in the statistics.
             _zero_not_finite(length)
             self.sums += length
-        self.seen += visible
+        self.view_counts += visible
 
-    def add_rows(self, rows: NDArray[np.int64], sums: NDArray[np.float32], seen: NDArray[np.integer], radii_px: NDArray | None) -> None:
+    def add_rows(
+        self, rows: NDArray[np.int64], sums: NDArray[np.float32], view_counts: NDArray[np.integer], radii_px: NDArray | None
+    ) -> None:
         """Add what was gathered elsewhere of some rows (R,), each once."""
         if isinstance(self.sums, np.ndarray):
             self.sums[rows] += sums
-            self.seen[rows] += seen.astype(np.int32)
+            self.view_counts[rows] += view_counts.astype(np.int32)
             if radii_px is not None:
                 self.radii_px[rows] = np.maximum(self.radii_px[rows], radii_px)
             return
         device = self.sums.device
         at = torch.from_numpy(rows).to(device)
         self.sums[at] += torch.from_numpy(sums).to(device)
-        self.seen[at] += torch.from_numpy(seen.astype(np.int32)).to(device)
+        self.view_counts[at] += torch.from_numpy(view_counts.astype(np.int32)).to(device)
         if radii_px is not None:
             self.radii_px[at] = torch.maximum(self.radii_px[at], torch.from_numpy(radii_px).to(device))
 
@@ -225,8 +227,8 @@ class AdaptiveDensity(Part):
             statistics.radii_px = _elementwise_maximum(statistics.radii_px, _as_plain(output.radii_px)[0])
         if self._absolute and output.absgrad is None:
             raise ValueError("density control by absolute gradients needs a rendering with absgrad=True")
-        taken = output.absgrad if self._absolute else None
-        output.means2d.register_hook(partial(statistics.add_gradient, _as_plain(output.visible), (width, height), taken))
+        absgrad = output.absgrad if self._absolute else None
+        output.means2d.register_hook(partial(statistics.add_gradient, _as_plain(output.visible), (width, height), absgrad))
 
     @property
     def measures_radii(self) -> bool:
@@ -255,10 +257,8 @@ class AdaptiveDensity(Part):
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Copies of the sums since the last edit, and what was at the start."""
-        gathered = self.statistics
-        sums = {"sums": gathered.sums, "seen": gathered.seen, "radii_px": gathered.radii_px}
         since = {"num_first": np.array(self._num_first), "last_reset": np.array(self._last_reset)}
-        return {**{name: _to_numpy(array).copy() for name, array in sums.items()}, **since}
+        return {**{name: _to_numpy(array).copy() for name, array in self._sums().items()}, **since}
 
     def state_numbers(self) -> dict[str, Any]:
         """The counts."""
@@ -269,9 +269,13 @@ class AdaptiveDensity(Part):
         self.counts = DensityCounts(**numbers)
         self._num_first, self._last_reset = int(arrays["num_first"]), int(arrays["last_reset"])
         self.statistics = DensityStatistics(len(splats), splats.means.device)
-        for name in ("sums", "seen", "radii_px"):
-            array = getattr(self.statistics, name)
+        for name, array in self._sums().items():
             array[:] = arrays[name] if isinstance(array, np.ndarray) else torch.from_numpy(arrays[name]).to(array.device)
+
+    def _sums(self) -> dict[str, Any]:
+        """The statistics by their names in a checkpoint."""
+        statistics = self.statistics
+        return {"sums": statistics.sums, "seen": statistics.view_counts, "radii_px": statistics.radii_px}
 
     def _limit(self, schedule_step: float) -> int:
         """How many Gaussians there may be: all from the start, or planned growth on a line."""
@@ -293,7 +297,7 @@ class AdaptiveDensity(Part):
         tensors = {name: tensor.detach() for name, tensor in splats.tensors().items()}
         model = {name: tensors[name].cpu().numpy() for name in ("means", "quats", "log_scales", "logit_opacities")}
         gathered = self.statistics
-        gradients = _to_numpy(gathered.sums) / np.maximum(_to_numpy(gathered.seen), 1)
+        gradients = _to_numpy(gathered.sums) / np.maximum(_to_numpy(gathered.view_counts), 1)
         edit = density_edit(model, gradients, _to_numpy(gathered.radii_px), rules, np.random.default_rng((self._config.seed, moment.step)))
         self.counts += edit.counts
         device = splats.means.device

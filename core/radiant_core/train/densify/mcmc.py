@@ -117,12 +117,12 @@ class RelocatedDensity(Part):
         if num_dead + num_added == 0:
             return splats
         opacities = np.where(alive, 1 / (1 + np.exp(-logits.astype(np.float64))), 0)
-        drawn = rng.choice(len(logits), num_dead + num_added, p=opacities / opacities.sum())
-        copies = 1 + np.bincount(drawn, minlength=len(logits))
+        sampled_rows = rng.choice(len(logits), num_dead + num_added, p=opacities / opacities.sum())
+        copies = 1 + np.bincount(sampled_rows, minlength=len(logits))
         shared = np.flatnonzero(copies > 1)
         new_logits, new_scales = logits.copy(), tensors["log_scales"].cpu().numpy().copy()
         new_logits[shared], new_scales[shared] = share_place(logits[shared], new_scales[shared], copies[shared])
-        rows = np.concatenate([np.flatnonzero(alive), drawn])
+        rows = np.concatenate([np.flatnonzero(alive), sampled_rows])
         order = morton_order(tensors["means"].cpu().numpy()[rows])
         rows, fresh = rows[order], (np.arange(len(rows)) >= int(alive.sum()))[order]
         device = splats.means.device

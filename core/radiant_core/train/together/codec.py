@@ -38,10 +38,10 @@ _MARK, _LIMITS_MARK = b"RSG1", b"RSL2"
 
 def encode_gradients(gradients: StepGradients, step: int, num_splats: int, layout: Layout, form: StepFormat) -> bytes:
     """The message of a step (from 0) of a model of `num_splats` Gaussians."""
-    shown = np.zeros(num_splats, bool)
-    shown[gradients.rows] = True
+    row_mask = np.zeros(num_splats, bool)
+    row_mask[gradients.rows] = True
     head = _HEAD.pack(_MARK, _FORMATS.index(form), gradients.num_views, len(gradients.rows), num_splats, step, gradients.loss)
-    parts = [head, np.packbits(shown).tobytes(), gradients.seen.astype(_seen_type(gradients.num_views)).tobytes()]
+    parts = [head, np.packbits(row_mask).tobytes(), gradients.view_counts.astype(_seen_type(gradients.num_views)).tobytes()]
     if layout.with_radii and gradients.radii_px is not None:
         parts.append(gradients.radii_px.astype(np.float32).tobytes())
     parts.append(_encode_values(gradients.values, layout, form))
@@ -83,13 +83,13 @@ def decode_gradients(
     at = _HEAD.size
     rows = _rows_of(message, at, num_splats, num_rows)
     at += bits
-    seen = np.frombuffer(message, _seen_type(num_views), num_rows, at).astype(np.uint16)
+    view_counts = np.frombuffer(message, _seen_type(num_views), num_rows, at).astype(np.uint16)
     at += seen_bytes
-    if num_rows and seen.max() > num_views:
-        raise BadInput(f"a Gaussian is seen in {seen.max()} of {num_views} views: the gradients of a step are damaged.")
+    if num_rows and view_counts.max() > num_views:
+        raise BadInput(f"a Gaussian is seen in {view_counts.max()} of {num_views} views: the gradients of a step are damaged.")
     radii = np.frombuffer(message, np.float32, num_rows, at).copy() if layout.with_radii else None
     values = _decode_values(message, at + radii_bytes, num_rows, layout, form)
-    gradients = StepGradients(num_views=num_views, loss=loss, rows=rows, values=values, seen=seen, radii_px=radii)
+    gradients = StepGradients(num_views=num_views, loss=loss, rows=rows, values=values, view_counts=view_counts, radii_px=radii)
     if checks and not gradients.is_finite:
         raise BadInput(f"gradients of step {step + 1} are not finite.")
     return gradients

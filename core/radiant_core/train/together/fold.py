@@ -74,15 +74,15 @@ def fit_in_process(
     for relay in relays.values():
         relay.begin(0, len(initial))
     of_edges = {edge: sum(views.values()) for edge, views in members.edges.items()}
-    of_root = of_edges if members.has_relays else {name: views for each in members.edges.values() for name, views in each.items()}
+    of_root = of_edges if members.has_relays else {name: views for shares in members.edges.values() for name, views in shares.items()}
     root = Root(top, of_root, camera_centers, group, sums_edges=members.has_relays)
     cost, waiting = GroupCost(), list[bytes]()
 
     def timed(where: list[float], work: Callable[[], bytes]) -> bytes:
         begun_s = clock()
-        made = work()
+        message = work()
         where.append(clock() - begun_s)
-        return made
+        return message
 
     def take_waiting() -> None:
         begun_s = clock()

@@ -57,14 +57,14 @@ class Layout:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StepGradients:
     """Sums over `num_views` views: rows (R,) int64, ascending, of the Gaussians that any shows;
-    values (R,K) float32 by a `Layout`; seen (R,) uint16, in how many of the views; radii_px (R,)
-    float32, the largest, or None; loss, the sum."""
+    values (R,K) float32 by a `Layout`; view_counts (R,) uint16, in how many of the views; radii_px
+    (R,) float32, the largest, or None; loss, the sum."""
 
     num_views: int
     loss: float
     rows: NDArray[np.int64]
     values: NDArray[np.float32]
-    seen: NDArray[np.uint16]
+    view_counts: NDArray[np.uint16]
     radii_px: NDArray[np.float32] | None = None
 
     @staticmethod
@@ -75,7 +75,7 @@ class StepGradients:
             loss=0.0,
             rows=np.zeros(0, np.int64),
             values=np.zeros((0, layout.num_columns), np.float32),
-            seen=np.zeros(0, np.uint16),
+            view_counts=np.zeros(0, np.uint16),
             radii_px=np.zeros(0, np.float32) if layout.with_radii else None,
         )
 
@@ -93,19 +93,19 @@ def sum_gradients(parts: Sequence[StepGradients], num_splats: int, layout: Layou
         return StepGradients.nothing(layout)
     if len(parts) == 1:
         return parts[0]
-    shown = np.zeros(num_splats, bool)
+    row_mask = np.zeros(num_splats, bool)
     for part in parts:
-        shown[part.rows] = True
-    rows = np.flatnonzero(shown)
+        row_mask[part.rows] = True
+    rows = np.flatnonzero(row_mask)
     place = np.empty(num_splats, np.int64)
     place[rows] = np.arange(len(rows))
     values = np.zeros((len(rows), layout.num_columns), np.float32)
-    seen = np.zeros(len(rows), np.uint16)
+    view_counts = np.zeros(len(rows), np.uint16)
     radii = np.zeros(len(rows), np.float32) if layout.with_radii else None
     for part in parts:
         at = place[part.rows]
         _native.add_rows(values, at, part.values)
-        seen[at] += part.seen
+        view_counts[at] += part.view_counts
         if radii is not None and part.radii_px is not None:
             radii[at] = np.maximum(radii[at], part.radii_px)
     return StepGradients(
@@ -113,6 +113,6 @@ def sum_gradients(parts: Sequence[StepGradients], num_splats: int, layout: Layou
         loss=sum(part.loss for part in parts),
         rows=rows,
         values=values,
-        seen=seen,
+        view_counts=view_counts,
         radii_px=radii,
     )

@@ -63,16 +63,16 @@ class MaskKeys:
         """The keys of a run, from the raw public keys of all other devices; BadInput for one that
         is none."""
         pairs = {}
-        for other, public in publics.items():
-            if other == name:
+        for peer, public in publics.items():
+            if peer == name:
                 continue
             try:
                 shared = private.exchange(X25519PublicKey.from_public_bytes(public))
             except ValueError as error:
-                raise BadInput(f"{other} sends no X25519 key of 32 bytes: it has to send its public key again.") from error
-            first, second = sorted((name, other))
+                raise BadInput(f"{peer} sends no X25519 key of 32 bytes: it has to send its public key again.") from error
+            first, second = sorted((name, peer))
             info = f"radiant masks {run_id} {first} {second}".encode()
-            pairs[other] = HKDF(algorithm=SHA256(), length=32, salt=None, info=info).derive(shared)
+            pairs[peer] = HKDF(algorithm=SHA256(), length=32, salt=None, info=info).derive(shared)
         return MaskKeys(name=name, pairs=pairs)
 
     def without(self, lost: str) -> MaskKeys:
@@ -90,10 +90,10 @@ class MaskKeys:
         total = np.zeros(count, np.uint32)
         # The counter of ChaCha20 begins at 0 in each step: 256 GB of one stream.
         nonce = struct.pack("<QQ", 0, step)
-        for other, key in self.pairs.items():
+        for peer, key in self.pairs.items():
             stream = Cipher(ChaCha20(key, nonce), mode=None).encryptor().update(bytes(4 * count))
-            drawn = np.frombuffer(stream, "<u4")
-            (np.add if self.name < other else np.subtract)(total, drawn, out=total)
+            pad = np.frombuffer(stream, "<u4")
+            (np.add if self.name < peer else np.subtract)(total, pad, out=total)
         return total
 
 
@@ -112,15 +112,15 @@ class FixedPoint:
         return FixedPoint(exponents=np.maximum(magnitudes - largest_bits, -_MOST_EXPONENT))
 
     def quantise(self, gradients: StepGradients, num_splats: int, num_senders: int) -> NDArray[np.int32]:
-        """(N K' + 2,) of all rows, K' columns and `seen`, then views and loss; cut where a sum of
-        `num_senders` could overflow."""
+        """(N K' + 2,) of all rows, K' columns and `view_counts`, then views and loss; cut where a
+        sum of `num_senders` could overflow."""
         columns = len(self.exponents) + 1
         numbers = np.zeros(num_splats * columns + 2, np.int32)
         table = numbers[:-2].reshape(num_splats, columns)
         most = (2**31 - 1) // num_senders
         wanted = np.rint(np.ldexp(gradients.values.astype(np.float64), -self.exponents))
         table[gradients.rows, :-1] = np.clip(wanted, -most, most)
-        table[gradients.rows, -1] = gradients.seen
+        table[gradients.rows, -1] = gradients.view_counts
         numbers[-2:] = gradients.num_views, np.clip(round(gradients.loss / LOSS_UNIT), -most, most)
         return numbers
 
@@ -129,9 +129,9 @@ class FixedPoint:
         table = numbers[:-2].reshape(num_splats, len(self.exponents) + 1)
         rows = np.flatnonzero(table.any(axis=1))
         values = np.ldexp(table[rows, :-1].astype(np.float64), self.exponents).astype(np.float32)
-        seen = np.clip(table[rows, -1], 0, np.iinfo(np.uint16).max).astype(np.uint16)
+        view_counts = np.clip(table[rows, -1], 0, np.iinfo(np.uint16).max).astype(np.uint16)
         num_views = int(np.clip(numbers[-2], 0, np.iinfo(np.uint16).max))
-        return StepGradients(num_views=num_views, loss=float(numbers[-1]) * LOSS_UNIT, rows=rows, values=values, seen=seen)
+        return StepGradients(num_views=num_views, loss=float(numbers[-1]) * LOSS_UNIT, rows=rows, values=values, view_counts=view_counts)
 
 
 def first_magnitudes(layout: Layout) -> NDArray[np.int64]:
@@ -206,8 +206,8 @@ def check_sum(total: StepGradients, most_views: int, config: TrainConfig, layout
     masks, where one device that lies takes the step of all with it."""
     if not 0 < total.num_views <= most_views:
         return f"the sum is of {total.num_views} views, expected 1 to {most_views}"
-    if len(total.seen) and int(total.seen.max()) > total.num_views:
-        return f"a Gaussian is seen in {int(total.seen.max())} of {total.num_views} views"
+    if len(total.view_counts) and int(total.view_counts.max()) > total.num_views:
+        return f"a Gaussian is seen in {int(total.view_counts.max())} of {total.num_views} views"
     lengths = tensor_lengths(total.values, layout) / total.num_views
     wrong = np.flatnonzero(~(lengths <= view_limits(config, layout)))
     if len(wrong):

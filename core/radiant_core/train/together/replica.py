@@ -180,7 +180,7 @@ class Replica(ModelFit):
             view_loss.use_size(1.0)
         self._optimizer.zero_grad()
         statistics = DensityStatistics(count, self._splats.means.device)
-        shown, loss, num_counted = np.zeros(count, bool), 0.0, 0
+        row_mask, loss, num_counted = np.zeros(count, bool), 0.0, 0
 
         def watch(at: Moment, output: RenderOutput) -> None:
             if (density := self._density) is not None:
@@ -194,8 +194,8 @@ class Replica(ModelFit):
                 continue
             loss, num_counted = loss + value, num_counted + 1
             if visible is not None:
-                shown |= visible.cpu().numpy()
-        gradients = self._gathered(np.flatnonzero(shown), statistics, loss, num_counted)
+                row_mask |= visible.cpu().numpy()
+        gradients = self._gathered(np.flatnonzero(row_mask), statistics, loss, num_counted)
         if not gradients.is_finite:
             self.failed_views.append(f"step {step + 1}: a gradient is not finite")
             return StepGradients.nothing(self.layout)
@@ -211,23 +211,25 @@ class Replica(ModelFit):
             else:
                 table = np.ascontiguousarray(gradient.detach().cpu().numpy().reshape(len(self._splats), -1))
                 _native.gather_rows(table, rows, values, columns.start)
-        sums, seen, radii = (np.asarray(torch.as_tensor(array).cpu()) for array in (statistics.sums, statistics.seen, statistics.radii_px))
+        sums, view_counts, radii = (
+            np.asarray(torch.as_tensor(array).cpu()) for array in (statistics.sums, statistics.view_counts, statistics.radii_px)
+        )
         values[:, layout.growth] = sums[rows]
         return StepGradients(
             num_views=num_views,
             loss=loss,
             rows=rows,
             values=values,
-            seen=seen[rows].astype(np.uint16),
+            view_counts=view_counts[rows].astype(np.uint16),
             radii_px=radii[rows] if layout.with_radii else None,
         )
 
-    def share_model(self, other: Replica) -> None:
+    def share_model(self, source: Replica) -> None:
         """Have the model of another replica of the group, in place of a copy with the same bits: in
         one process one stands for all holders."""
-        self._splats, self._optimizer, self._rates = other._splats, other._optimizer, other._rates
-        self._parts, self._losses, self.step = other._parts, other._losses, other.step
-        self._magnitudes = other._magnitudes
+        self._splats, self._optimizer, self._rates = source._splats, source._optimizer, source._rates
+        self._parts, self._losses, self.step = source._parts, source._losses, source.step
+        self._magnitudes = source._magnitudes
 
     @property
     def next_step_edits(self) -> bool:
@@ -265,12 +267,12 @@ class Replica(ModelFit):
         for part in self._parts:
             part.after_backward(self._splats)
         if (density := self._density) is not None:
-            density.statistics.add_rows(total.rows, total.values[:, self.layout.growth], total.seen, total.radii_px)
+            density.statistics.add_rows(total.rows, total.values[:, self.layout.growth], total.view_counts, total.radii_px)
         visible = None
         if self._config.adam == "visible":
-            shown = np.zeros(count, bool)
-            shown[total.rows] = True
-            visible = torch.from_numpy(shown).to(device)
+            row_mask = np.zeros(count, bool)
+            row_mask[total.rows] = True
+            visible = torch.from_numpy(row_mask).to(device)
         self._optimizer.step(visible)
 
     def _dense(self, name: str, count: int, width: int) -> NDArray[np.float32]:

@@ -86,9 +86,9 @@ class Holder:
         gradients = decode_gradients(memoryview(total)[at:], replica.step, count, replica.layout, self._group.views_per_step, checks=False)
         replica.take(gradients, limits)
 
-    def follow(self, other: Holder) -> None:
+    def follow(self, source: Holder) -> None:
         """Have the model of a holder in this process that took a step."""
-        self.replica.share_model(other.replica)
+        self.replica.share_model(source.replica)
 
 
 @dataclass(kw_only=True)
@@ -118,11 +118,11 @@ class Inbox:
     @property
     def num_refused(self) -> int:
         """Messages of all senders that were refused."""
-        return sum(each.count for each in self.refused.values())
+        return sum(refusal.count for refusal in self.refused.values())
 
     def refusals(self) -> list[str]:
         """A warning for each sender of whom messages were refused."""
-        return [f"{each.count} messages of {name} were refused, the first: {each.first}" for name, each in self.refused.items()]
+        return [f"{refusal.count} messages of {name} were refused, the first: {refusal.first}" for name, refusal in self.refused.items()]
 
     def refuse(self, step: int, reasons: Mapping[str, str]) -> None:
         """Count a refused message of each of these senders."""
@@ -149,7 +149,7 @@ class Inbox:
 
     def state(self) -> dict[str, Any]:
         """What a checkpoint keeps, as JSON."""
-        refused = {name: [each.count, each.first] for name, each in self.refused.items()}
+        refused = {name: [refusal.count, refusal.first] for name, refusal in self.refused.items()}
         return {"refused": refused, "scrutiny": None if self.scrutiny is None else self.scrutiny.state()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -217,13 +217,13 @@ class Relay:
         """How many Gaussians most senders say that the model has; None where as many say something
         else: then nobody is believed, and the next total tells."""
         heads = {name: peek_gradients(message) or peek_masked(message) for name, message in messages.items()}
-        said = {name: head[1] for name, head in heads.items() if head is not None and head[0] == self._step}
-        said = {name: count for name, count in said.items() if count <= self._group.config.max_num_splats}
-        ranked = Counter(said.values()).most_common(2)
+        counts = {name: head[1] for name, head in heads.items() if head is not None and head[0] == self._step}
+        counts = {name: count for name, count in counts.items() if count <= self._group.config.max_num_splats}
+        ranked = Counter(counts.values()).most_common(2)
         if len(ranked) == 2 and ranked[0][1] == ranked[1][1]:
-            contradiction = "; ".join(f"{name}: {count}" for name, count in said.items())
+            contradiction = "; ".join(f"{name}: {count}" for name, count in counts.items())
             reason = f"senders contradict each other on how many Gaussians the model has ({contradiction}), and none of them counts"
-            self.inbox.refuse(self._step, dict.fromkeys(said, reason))
+            self.inbox.refuse(self._step, dict.fromkeys(counts, reason))
             return None
         return ranked[0][0] if ranked else 0
 
@@ -263,13 +263,13 @@ class Root:
         """The message of a step for all holders, and the gradients in it; `take_total` takes it."""
         replica, count, layout = self.replica, self.replica.num_splats, self.replica.layout
         self._limits = replica.limits(self._centers)
-        message, said = self._say(sum_gradients(self.inbox.read(messages, replica.step, count, layout), count, layout))
-        if not said.is_finite:
+        message, total = self._say(sum_gradients(self.inbox.read(messages, replica.step, count, layout), count, layout))
+        if not total.is_finite:
             # Parts that are finite may add up to what is not.
             self.inbox.refuse(replica.step, {"all": "the sum is not finite"})
-            message, said = self._say(StepGradients.nothing(layout))
+            message, total = self._say(StepGradients.nothing(layout))
         self._message = encode_limits(self._limits, replica.step, count) + message
-        return self._message, said
+        return self._message, total
 
     def _say(self, total: StepGradients) -> tuple[bytes, StepGradients]:
         """The message of a sum, and what it says, rounded, which is what is taken."""

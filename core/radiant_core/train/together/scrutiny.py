@@ -128,13 +128,13 @@ def check_shape(gradients: StepGradients, config: TrainConfig, layout: Layout) -
     """What no rendering makes in counts, growth, radii or loss, in words."""
     if not len(gradients.rows):
         return None
-    growth, seen = gradients.values[:, layout.growth], gradients.seen
+    growth, view_counts = gradients.values[:, layout.growth], gradients.view_counts
     lowest = float(growth.min())
     if lowest < 0:
         return f"a Gaussian's growth is {lowest:.3g}, expected a length, from 0 on"
     # Either all that is shown was counted, or, after the last edit, nothing is.
-    least = int(seen.min())
-    if least == 0 and (int(seen.max()) > 0 or float(growth.max()) > 0):
+    least = int(view_counts.min())
+    if least == 0 and (int(view_counts.max()) > 0 or float(growth.max()) > 0):
         return "Gaussians with a gradient are counted in no view, expected in one or more"
     if gradients.radii_px is not None and float(gradients.radii_px.min()) < 0:
         return "a radius is below 0 px"
@@ -234,21 +234,21 @@ class Scrutiny:
         """Why messages of a step do not count, by sender, in words; none of those that do."""
         reasons = {name: self.left_out[name] for name in sent if name in self.left_out}
         judged = {name: gradients for name, gradients in sent.items() if name not in reasons and gradients.num_views}
-        lengths = {name: tensor_lengths(each.values, layout) / each.num_views for name, each in judged.items()}
+        lengths = {name: tensor_lengths(gradients.values, layout) / gradients.num_views for name, gradients in judged.items()}
         limits = view_limits(self.config, layout)
         for name, gradients in judged.items():
             reason = check_shape(gradients, self.config, layout) or _beyond(lengths[name], limits, layout)
             if reason is not None:
                 reasons[name] = reason
-        reasons |= self._unusual(step, {name: each for name, each in lengths.items() if name not in reasons}, layout)
-        self._compare(step, {name: each for name, each in judged.items() if name not in reasons}, num_splats, layout)
+        reasons |= self._unusual(step, {name: device_lengths for name, device_lengths in lengths.items() if name not in reasons}, layout)
+        self._compare(step, {name: gradients for name, gradients in judged.items() if name not in reasons}, num_splats, layout)
         reasons |= {name: self.left_out[name] for name in judged if name in self.left_out}
         return reasons
 
     def state(self) -> dict[str, Any]:
         """What a checkpoint keeps, as JSON."""
-        standings = {name: vars(each).copy() for name, each in self.standings.items()}
-        gaps = {name: vars(each).copy() for name, each in self.gaps.items()}
+        standings = {name: vars(standing).copy() for name, standing in self.standings.items()}
+        gaps = {name: vars(gap).copy() for name, gap in self.gaps.items()}
         left_out, ties = dict(self.left_out), dict(self.ties)
         return {
             "secret": self.secret,
@@ -262,9 +262,9 @@ class Scrutiny:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from `state`."""
         self.secret, self.left_out = int(state["secret"]), dict(state["left_out"])
-        self.standings = {name: Standing(**each) for name, each in state["standings"].items()}
+        self.standings = {name: Standing(**record) for name, record in state["standings"].items()}
         self.recent = deque(state["recent"], maxlen=USUAL_STEPS)
-        self.gaps, self.ties = {name: Gap(**each) for name, each in state["gaps"].items()}, dict(state["ties"])
+        self.gaps, self.ties = {name: Gap(**record) for name, record in state["gaps"].items()}, dict(state["ties"])
 
     def _unusual(self, step: int, lengths: Mapping[str, NDArray[np.float64]], layout: Layout) -> dict[str, str]:
         """Those whose lengths differ by a factor from the median of all senders, in this step and
@@ -276,14 +276,14 @@ class Scrutiny:
         factors = np.array([FACTORS.get(name, FACTOR) for name in names])
         now = np.array(list(lengths.values()))
         self.recent.append(now.tolist())
-        usual = np.median(now, axis=0), np.median(np.concatenate([np.array(each) for each in self.recent]), axis=0)
+        usual = np.median(now, axis=0), np.median(np.concatenate([np.array(step_lengths) for step_lengths in self.recent]), axis=0)
         least, most = np.minimum(*usual) / factors, np.maximum(*usual) * factors
-        for name, each in lengths.items():
-            wrong = np.flatnonzero((each > most) | (each < least))
+        for name, device_lengths in lengths.items():
+            wrong = np.flatnonzero((device_lengths > most) | (device_lengths < least))
             if len(wrong):
-                reasons[name] = f"its {names[wrong[0]]} are {each[wrong[0]]:.3g} long, usual are {usual[1][wrong[0]]:.3g}"
+                reasons[name] = f"its {names[wrong[0]]} are {device_lengths[wrong[0]]:.3g} long, usual are {usual[1][wrong[0]]:.3g}"
             standing = self.standings.setdefault(name, Standing())
-            standing.add_size(float(np.median(_logs(each, usual[0]))))
+            standing.add_size(float(np.median(_logs(device_lengths, usual[0]))))
             if standing.num_sizes >= STEADY_STEPS and abs(standing.sizes) > math.log(STEADY_FACTOR):
                 times = math.exp(standing.sizes)
                 self.left_out[name] = f"left out from step {step + 1} on: its gradients are {times:.3g} times as long as those of others"
@@ -293,9 +293,9 @@ class Scrutiny:
         """Name two senders of whom one is much longer, step by step."""
         if len(lengths) != 2:
             return
-        (first, one), (second, other) = lengths.items()
+        (first, first_lengths), (second, second_lengths) = lengths.items()
         gap = self.gaps.setdefault(f"{first} and {second}", Gap())
-        gap.add(_logs(one, other))
+        gap.add(_logs(first_lengths, second_lengths))
         if (words := gap.words(tensor_names(layout))) is not None:
             self._tie(step, (first, second), f"{first}'s {words} as {second}'s")
 
@@ -321,17 +321,17 @@ class Scrutiny:
         able = {name: self.standings[name] for name in sent if name in self.standings and self.standings[name].num_steps >= MIN_STEPS}
         if len(able) < 2:
             return
-        most = float(np.median([each.mean + NUM_ERRORS * each.error for each in able.values()]))
-        usual = float(np.median([each.mean for each in able.values()]))
+        most = float(np.median([standing.mean + NUM_ERRORS * standing.error for standing in able.values()]))
+        usual = float(np.median([standing.mean for standing in able.values()]))
         if most < TIE_COSINE:
             self._tie(step, tuple(able), f"the mean cosine of their gradients of the same Gaussians is {usual:.3f}")
         if len(able) < MIN_SENDERS or usual <= 0:
             return
-        for name, each in able.items():
-            if each.mean + NUM_ERRORS * each.error < MIN_SHARE * usual:
+        for name, standing in able.items():
+            if standing.mean + NUM_ERRORS * standing.error < MIN_SHARE * usual:
                 self.left_out[name] = (
                     f"left out from step {step + 1} on: its gradients contradict those of others of the same Gaussians "
-                    f"(mean cosine {each.mean:.3f}, usual {usual:.3f})"
+                    f"(mean cosine {standing.mean:.3f}, usual {usual:.3f})"
                 )
 
 
@@ -346,8 +346,8 @@ def _beyond(lengths: NDArray[np.float64], limits: NDArray[np.float64], layout: L
 def _logs(lengths: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
     """log (lengths / others), within 1.5 log `FACTOR`: a view of nothing is no constant lie."""
     most = 1.5 * math.log(FACTOR)
-    one, other = (np.clip(each, _TINY, 1 / _TINY) for each in (lengths, others))
-    return np.clip(np.log(one / other), -most, most)
+    first, second = (np.clip(array, _TINY, 1 / _TINY) for array in (lengths, others))
+    return np.clip(np.log(first / second), -most, most)
 
 
 def _cosines(sent: Mapping[str, StepGradients], phase: int, num_splats: int, layout: Layout) -> dict[str, float]:

@@ -41,7 +41,7 @@ def test_blurred_frames_are_passed_over(tmp_path: Path) -> None:
     watched = watch_film(write_film(tmp_path / "pan.mp4", panned(photographs()[0], 80, 1.5, blurred)), quiet)
     assert np.flatnonzero(blurred_frames(watched)).tolist() == blurred
     # 119 px are 74 % of the picture: seven tenths, in which every third stretch has a sharp frame.
-    chosen = choose_frames({"pan": watched}, asked=15)
+    chosen = choose_frames({"pan": watched}, num_frames=15)
     taken = [frame.index for frame in chosen.frames["pan"]]
     assert chosen.num_blurred == 40 and chosen.num_blurred_taken == 0 and not set(taken) & set(blurred)
     assert 13 <= len(taken) <= 16 and chosen.reason == "--film-frames is 15"
@@ -73,7 +73,7 @@ def test_the_number_of_frames_follows_motion_within_limits_that_are_told(num: in
 
 
 def test_frames_of_two_films_share_the_number_by_motion() -> None:
-    chosen = choose_frames({"long": steady(3000, 0.01), "short": steady(1000, 0.01)}, asked=100)
+    chosen = choose_frames({"long": steady(3000, 0.01), "short": steady(1000, 0.01)}, num_frames=100)
     assert len(chosen.frames["long"]) == pytest.approx(75, abs=1) and len(chosen.frames["short"]) == pytest.approx(25, abs=1)
 
 

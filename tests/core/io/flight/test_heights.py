@@ -275,7 +275,9 @@ def test_lists_keep_what_heights_count_from(kind: HeightFrom, frame: tuple[int, 
     assert [(item["frame"], item["AltitudeMode"], item["Altitude"]) for item in items] == [(*frame, height) for height in from_the_sea]
     text = kml_route(route).decode()
     assert text.count(f"<altitudeMode>{mode}</altitudeMode>") == 2 and f",{from_the_sea[0]:.3f}<" in text
-    assert route.said in text and {"sea": "above sea level", "ground": "above the ground below each point"}.get(kind, "above") in text
+    assert (
+        route.heights_text in text and {"sea": "above sea level", "ground": "above the ground below each point"}.get(kind, "above") in text
+    )
     assert ("KML has no mode for that" in text) == (kind == "takeoff")
     if executed is None:
         with pytest.raises(BadInput, match="give --heights takeoff where the ground is level, or write another format"):
@@ -283,7 +285,7 @@ def test_lists_keep_what_heights_count_from(kind: HeightFrom, frame: tuple[int, 
         return
     with zipfile.ZipFile(io.BytesIO(wpml_kmz(route))) as archive:
         lines, template = (ElementTree.fromstring(archive.read(f"wpmz/{name}")) for name in ("waylines.wpml", "template.kml"))
-        assert route.said in archive.read("wpmz/waylines.wpml").decode()
+        assert route.heights_text in archive.read("wpmz/waylines.wpml").decode()
     assert lines.findtext(".//w:executeHeightMode", None, NS) == executed
     above_ellipsoid = np.array([80.0, 81.0]) + (47.0 if kind == "sea" else 0.0)
     assert [float(height.text or "") for height in lines.findall(".//w:executeHeight", NS)] == above_ellipsoid.tolist()

@@ -82,7 +82,7 @@ def test_the_sum_is_that_of_the_gradients_but_for_rounding() -> None:
     total = unmask_sum(messages, list(sent), 2, NUM_SPLATS, LAYOUT)
     exact = sum_gradients(list(sent.values()), NUM_SPLATS, LAYOUT)
     np.testing.assert_array_equal(total.rows, exact.rows)
-    np.testing.assert_array_equal(total.seen, exact.seen)
+    np.testing.assert_array_equal(total.view_counts, exact.view_counts)
     assert total.num_views == 4
     assert total.loss == pytest.approx(exact.loss, abs=4e-6)
     # Each of four is rounded by half a unit, and a float32 sum by some of its own.
@@ -213,7 +213,7 @@ def test_holders_of_sums_of_other_sizes_have_units_of_their_own_where_one_takes_
     holders = {name: Holder(Replica(truth, group, FitOptions(backend="native")), group, each) for name, each in keys.items()}
     layout = holders["d0"].replica.layout
     values = np.full((1, layout.num_columns), 0.5, np.float32)
-    total = StepGradients(num_views=5, loss=0.1, rows=np.array([3]), values=values, seen=np.array([2], np.uint16))
+    total = StepGradients(num_views=5, loss=0.1, rows=np.array([3]), values=values, view_counts=np.array([2], np.uint16))
     holders["d0"].take(encode_limits(None, 0, len(truth)) + encode_gradients(total, 0, len(truth), layout, "float32"))
     for name in ("d1", "d2"):
         holders[name].follow(holders["d0"])

@@ -37,7 +37,7 @@ def root_of(*names: str) -> Root:
 
 def gradients(layout: Layout, size: float = 1e-3) -> StepGradients:
     values = np.full((COUNT, layout.num_columns), size, np.float32)
-    return StepGradients(num_views=1, loss=0.1, rows=np.arange(COUNT), values=values, seen=np.ones(COUNT, np.uint16))
+    return StepGradients(num_views=1, loss=0.1, rows=np.arange(COUNT), values=values, view_counts=np.ones(COUNT, np.uint16))
 
 
 def message(root: Root, own: StepGradients) -> bytes:
@@ -131,7 +131,7 @@ def test_of_two_devices_that_contradict_each_other_on_the_size_of_the_model_none
 
     def said(step: int, count: int) -> bytes:
         values = np.full((COUNT, layout.num_columns), 1e-3, np.float32)
-        own = StepGradients(num_views=1, loss=0.1, rows=np.arange(COUNT), values=values, seen=np.ones(COUNT, np.uint16))
+        own = StepGradients(num_views=1, loss=0.1, rows=np.arange(COUNT), values=values, view_counts=np.ones(COUNT, np.uint16))
         return encode_gradients(own, step, count, layout, "float32")
 
     def total(step: int, count: int) -> bytes:

@@ -48,7 +48,7 @@ def step_of(num_senders: int, step: int, *, agree: float = 0.3, size: float = 1e
         values = size * rng.uniform(0.6, 1.6) * (agree * common[rows] + rng.standard_normal((len(rows), LAYOUT.num_columns)))
         values[:, LAYOUT.growth] = np.abs(values[:, LAYOUT.growth])
         sent[f"d{number}"] = StepGradients(
-            num_views=1, loss=0.2, rows=rows, values=values.astype(np.float32), seen=np.ones(len(rows), np.uint16)
+            num_views=1, loss=0.2, rows=rows, values=values.astype(np.float32), view_counts=np.ones(len(rows), np.uint16)
         )
     return sent
 
@@ -117,8 +117,8 @@ POISON = {
     "nothing": (lambda g: replace(g, values=0 * g.values), "usual are"),
     "a thousandfold growth": (lambda g: replace(g, values=np.where(np.arange(24) == LAYOUT.growth, 1e3, 1) * g.values), "growth are"),
     "negative growth": (lambda g: replace(g, values=np.where(np.arange(24) == LAYOUT.growth, -1, 1) * g.values), "expected a length"),
-    "seen nowhere": (lambda g: replace(g, seen=0 * g.seen), "counted in no view"),
-    "some seen nowhere": (lambda g: replace(g, seen=np.where(g.rows == g.rows[0], 0, g.seen)), "counted in no view"),
+    "seen nowhere": (lambda g: replace(g, view_counts=0 * g.view_counts), "counted in no view"),
+    "some seen nowhere": (lambda g: replace(g, view_counts=np.where(g.rows == g.rows[0], 0, g.view_counts)), "counted in no view"),
     "a loss too large": (lambda g: replace(g, loss=1e9), "the loss of 1 views is 1e"),
     "a loss below zero": (lambda g: replace(g, loss=-0.1), "the loss of 1 views is -0.1"),
 }
