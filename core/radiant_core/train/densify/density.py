@@ -321,7 +321,7 @@ class AdaptiveDensity(Part):
         self.counts = DensityCounts(**numbers)
         self._num_first, self._last_reset = int(arrays["num_first"]), int(arrays["last_reset"])
         thinning = self._thinning
-        thinning.num_begun, thinning.num_ended, thinning.num_gathered = map(int, arrays["thinning"])
+        thinning.num_begun, thinning.num_ended, thinning.num_gathered = map(int, arrays.get("thinning", np.zeros(3)))
         self.statistics = DensityStatistics(len(splats), splats.means.device)
         for name, array in self._sums().items():
             array[:] = arrays[name] if isinstance(array, np.ndarray) else torch.from_numpy(arrays[name]).to(array.device)
