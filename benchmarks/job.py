@@ -1,7 +1,7 @@
 """The main job whole: CPU seconds and memory of each of its processes, and inside a training step.
 
     radiant bench job --scene PHOTOS --out OUT          the sample town without --scene
-    radiant bench job --quick --out OUT                 the hamlet, 150 steps: the gate of `make bench`
+    radiant bench job --quick --out OUT                 the hamlet: the gate of `make bench`
 
 One `radiant run` on this machine alone, with the defaults. A process counts its CPU seconds from
 its start to its seal, libraries included. Then steps of the same training are taken in this

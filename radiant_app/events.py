@@ -86,7 +86,7 @@ class MemoryPeaked:
 
 @dataclass(frozen=True, kw_only=True)
 class CpuSpent:
-    """CPU seconds of all threads of the process of a stage, its start and its libraries included."""
+    """CPU seconds of all threads of the process of a stage, its start included."""
 
     stage: str
     seconds: Amount

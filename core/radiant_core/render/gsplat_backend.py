@@ -88,7 +88,7 @@ def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: V
 
 @torch.enable_grad()
 def _weights(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> Tensor:
-    """`RenderOutput.weights` (C,N): the gradient of a rendering's sum by a colour that all share."""
+    """`RenderOutput.weights` (C,N): gradients of a rendering's sum by a colour that all share."""
     from gsplat import rasterization  # pyright: ignore[reportMissingImports]
 
     means = splats.means.detach()

@@ -42,8 +42,9 @@ def rasterize(
     Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree;
     antialiased, by default as the model says, scales opacities by √(det Σ / det Σ'), Σ before and
     Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting, Yu 2024). absgrad
-    and weights ask for those of `RenderOutput`. Tensors and pictures are of one floating type, viewmats and Ks
-    may be of a finer one; cameras and background may lie on another device than the splats.
+    and weights ask for those of `RenderOutput`. Tensors and pictures are of one floating type,
+    viewmats and Ks may be of a finer one; cameras and background may lie on another device than the
+    splats.
 
     Raises BadInput naming tensor, count and first index of values that are not finite, and for a
     wrong shape or type, no camera, one that is not rigid or no pinhole, pictures without pixels or

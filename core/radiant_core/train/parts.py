@@ -2,8 +2,8 @@
 
 A training calls each hook of all its parts in turn, once per step unless stated otherwise:
 
-    before_render → wants_absgrad, wants_weights → render → loss → before_backward → backward → after_backward
-                  → Adam → hold → after_update → after_step
+    before_render → wants_absgrad, wants_weights → render → loss → before_backward → backward
+                  → after_backward → Adam → hold → after_update → after_step
 """
 
 from __future__ import annotations

@@ -30,7 +30,8 @@ class RenderedView {
   void forward(const Kernels& kernels, const View& view, const SplatArrays& splats, const ViewOutputs& out, bool differentiable, int threads);
 
   // ∂loss/∂means2d (N,2) and, for all else, the sums over each Gaussian's pixels (N); `absgrad`
-  // (N,2) or null: sums of each pixel's |∂loss/∂means2d|; with it `weights` (N): sums of w = T α. Passes of several threads may overlap.
+  // (N,2) or null: sums of each pixel's |∂loss/∂means2d|; with it `weights` (N): sums of w = T α.
+  // Passes of several threads may overlap.
   void blend_backward(const ImageGradients& gradients, float* means2d, Moments* sums, float* absgrad, float* weights, int threads) const;
 
   // Gradients of the Gaussians, from what `blend_backward` gave.

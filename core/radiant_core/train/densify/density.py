@@ -164,9 +164,9 @@ def select_prunable(
 
 
 class DensityStatistics:
-    """What renderings say of N Gaussians: sums (N,) float32 of the lengths of their gradients, or of
-    what they show while thinning gathers, view_counts (N,) int32 in how many, radii_px (N,) float32
-    the largest. numpy arrays on the CPU, tensors elsewhere."""
+    """What renderings say of N Gaussians: sums (N,) float32 of the lengths of their gradients, or,
+    while thinning gathers, of what they show; view_counts (N,) int32 in how many, radii_px (N,)
+    float32 the largest. numpy arrays on the CPU, tensors elsewhere."""
 
     def __init__(self, count: int, device: torch.device) -> None:
         self.sums, self.radii_px = (_as_plain(torch.zeros(count, dtype=torch.float32, device=device)) for _ in range(2))

@@ -1,13 +1,14 @@
 """Thinning after growth: the Gaussians of which photographs show least are left out, in two rounds.
 
-    s_i = Σ over views v of (w_iv / (w_iv + 16 px))²,  w_iv = Σ over pixels of T α: the pixels it makes
+    s_i = Σ over views v of (w_iv / (w_iv + 16 px))²,  w_iv = Σ over pixels of T α
     kept: those of the highest s_i, and all that no view sees, of which photographs say nothing
 
 A sum over views, so that machines that train together add theirs; squared, so that a Gaussian which
 makes much of one picture stays before one that makes little of many; bounded, so that it travels
-like gradients. Gathered over one epoch, or a tenth of the run where that is shorter. What is left
-is fitted on: the town, caliterra and lewis keep their quality with two thirds of the Gaussians
-(docs/experiments/training.md). Once per step while a round gathers.
+like gradients. w_iv are the pixels that it makes. Gathered over one epoch, or a tenth of the run
+where that is shorter. What is left is fitted on: the town, caliterra and lewis keep their quality
+with three quarters of the Gaussians (docs/experiments/training.md). Once per step while a round
+gathers.
 """
 
 from __future__ import annotations
