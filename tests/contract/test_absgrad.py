@@ -239,6 +239,5 @@ def test_one_gaussian_alone_makes_what_alpha_shows(backend: str) -> None:
     rendered = render(large(1, seed=2), CAMERAS, backend, weights=True)
     rendered.output.images.sum().backward()
     assert rendered.output.weights is not None
-    torch.testing.assert_close(
-        rendered.output.weights.cpu()[:, 0].double(), rendered.output.alphas.sum((1, 2)).double(), rtol=1e-5, atol=1e-6
-    )
+    weights, alphas = rendered.output.weights.cpu()[:, 0].double(), rendered.output.alphas.sum((1, 2)).double()
+    torch.testing.assert_close(weights, alphas, rtol=1e-5, atol=1e-6)
