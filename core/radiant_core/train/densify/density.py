@@ -226,7 +226,10 @@ class AdaptiveDensity(Part):
         self._absolute = policy.gradient == "absolute"
         self._views_per_step = views_per_step
         self._thinning = Thinning(
-            share=policy.thin_to, until_step=policy.until_step, schedule_steps=config.schedule_steps, num_views=num_views
+            share=1.0 if policy.thin_to == "auto" else policy.thin_to,
+            until_step=policy.until_step,
+            schedule_steps=config.schedule_steps,
+            num_views=num_views,
         )
         self.counts = DensityCounts()
         self.statistics = DensityStatistics(len(splats), splats.means.device)

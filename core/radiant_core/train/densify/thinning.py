@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDS = (0.0, 0.5)
+ROUNDS = (0.0, 0.2)
 """Where rounds begin, as shares of the run that is left after growth."""
 LONGEST = 0.1
 """A round gathers for at most this share of the run."""
@@ -32,7 +32,7 @@ class Thinning:
     """When rounds begin and end, in steps of the schedule, and how far they are."""
 
     share: float
-    """Of the Gaussians that stay after all rounds; 1: there are none."""
+    """Of the Gaussians that stay after all rounds; 1: there are no rounds."""
     until_step: float
     """The end of growth."""
     schedule_steps: int
