@@ -63,8 +63,8 @@ class FoundMap:
 def find_known(survey: Survey, resolution: float | None, display: ProgressDisplay) -> FoundMap:
     """What is known of the surface in cells of `resolution`, by default of four pixels of the
     photographs, and at most `MOST_CELLS` of them. BadInput where the model has no surface."""
-    cell = _cell(survey, resolution, display)
-    facets = _facets(survey, cell, display)
+    cell = map_cell(survey, resolution, display)
+    facets = facets_of_survey(survey, cell, display)
     sights = Sights(facets, survey.map_frame)
     cameras = survey.run.scene.cameras.select(np.array(survey.trained, np.int64))
     with stage_bar(display, "views") as report:
@@ -113,7 +113,9 @@ def _error_figures(model: ErrorModel | None) -> dict[str, Any]:
     return {"error_cells": model.num_cells, "error_photographs": model.num_photographs, **rounded}
 
 
-def _cell(survey: Survey, resolution: float | None, display: ProgressDisplay) -> float:
+def map_cell(survey: Survey, resolution: float | None, display: ProgressDisplay) -> float:
+    """The cell that was asked for, else of four pixels of the photographs, or wider; BadInput for
+    no number above zero."""
     if resolution is not None:
         if not (np.isfinite(resolution) and resolution > 0):
             raise BadInput(f"a resolution of {resolution} was asked for, expected a number above zero.")
@@ -141,7 +143,8 @@ def _small_images(survey: Survey) -> list[NDArray[np.uint8]] | None:
     return list(load_images(images, cameras.scaled(THUMBNAIL_PX)))
 
 
-def _facets(survey: Survey, cell: float, display: ProgressDisplay) -> Facets:
+def facets_of_survey(survey: Survey, cell: float, display: ProgressDisplay) -> Facets:
+    """The model's surface in such cells, as facets; BadInput where it has none."""
     ground, scene = survey.ground, survey.run.scene
     with stage_bar(display, "surface") as report:
         return facets_of_model(

@@ -49,7 +49,8 @@ def known_picture(found: KnownMap, unit: str, flights: Sequence[FlownLine] = ())
         axes.set_title(label, fontsize=10, color=INK_COLOR, loc="left")
         bar = figure.colorbar(picture, ax=axes, fraction=0.046, pad=0.02)
         bar.ax.tick_params(labelsize=8)
-    _draw_weak(panels[2], bands, extent)
+    draw_kinds(panels[2], bands, extent)
+    panels[2].set_title("What is weak, and the next flight", fontsize=10, color=INK_COLOR, loc="left")
     for line in flights:
         _draw_flight(panels[2], line)
     for axes in panels:
@@ -65,7 +66,9 @@ def _span(ends: tuple[float, float], flights: Sequence[FlownLine], axis: int) ->
     return float(values.min()) - margin, float(values.max()) + margin
 
 
-def _draw_weak(axes: Axes, bands: FloatArray, extent: tuple[float, float, float, float]) -> None:
+def draw_kinds(axes: Axes, bands: FloatArray, extent: tuple[float, float, float, float]) -> None:
+    """Draw which cells are known, weak or holes, by the bands (H,W,9) of a map, and name the
+    colours below."""
     colors = ListedColormap(KIND_COLORS)
     axes.imshow(bands[..., 6], extent=extent, cmap=colors, norm=BoundaryNorm([0.5, 1.5, 2.5, 3.5], 3), interpolation="none", aspect="equal")
     walls = np.where(bands[..., 8] > 0, 1.0, np.nan)
@@ -74,7 +77,6 @@ def _draw_weak(axes: Axes, bands: FloatArray, extent: tuple[float, float, float,
     handles = [Patch(color=color, label=name) for color, name in zip(KIND_COLORS, names, strict=True)]
     handles.append(Patch(color="#000000", label="wall that no photograph shows"))
     axes.legend(handles=handles, fontsize=7, loc="upper left", bbox_to_anchor=(0, -0.16), ncols=2, frameon=False)
-    axes.set_title("What is weak, and the next flight", fontsize=10, color=INK_COLOR, loc="left")
 
 
 def _draw_flight(axes: Axes, line: FlownLine) -> None:
