@@ -249,7 +249,7 @@ def join(
         )
     if photographs is not None:
         with show_starting():
-            from radiant_app.commands.model.added_photographs import AddedRequest, extend_by_photographs
+            from radiant_app.commands.plan.added_photographs import AddedRequest, extend_by_photographs
 
         added = AddedRequest(run=run_folder, photographs=photographs, out=out, num_epochs=epochs)
         return finish(extend_by_photographs(added, terminal_display()), as_json)

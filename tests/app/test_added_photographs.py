@@ -14,8 +14,8 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
-from radiant_app.commands.model.added_photographs import AddedRequest, extend_by_photographs
-from radiant_app.commands.model.before_after import BANDS
+from radiant_app.commands.plan.added_photographs import AddedRequest, extend_by_photographs
+from radiant_app.commands.plan.before_after import BANDS
 from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.report.progress import ProgressDisplay

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.commands.model.before_after import CHANGE_NAME, PICTURE_NAME, BeforeAfter, known_before_after, write_before_after
+from radiant_app.commands.plan.before_after import CHANGE_NAME, PICTURE_NAME, BeforeAfter, known_before_after, write_before_after
 from radiant_app.commands.run.train import Stage
 from radiant_app.commands.survey.parts import Survey, load_survey
 from radiant_app.commands.survey.surface import photographs_of_survey
