@@ -19,8 +19,8 @@ def add_known_section(report: Path, picture: Path, figures: Mapping[str, Any]) -
     """Put picture and figures of a map into the page of its run, in place of those of an earlier
     map; False where there is no such page, or one without a place for it."""
     text = report.read_text(encoding="utf-8") if report.is_file() else ""
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
+    before, begin, behind = text.partition(BEGIN)
+    _, end, after = behind.partition(END)
     if not (begin and end):
         return False
     page = jinja2.Environment(loader=jinja2.PackageLoader("radiant_app"), autoescape=True, undefined=jinja2.StrictUndefined)

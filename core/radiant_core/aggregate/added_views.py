@@ -84,18 +84,18 @@ def refine_with_views(
     moved = support_of(model, views.cameras.select(new_rows), options.backend).num_views > 0
     shares = contested_shares(views.cameras, model.means, moved)
     rows = np.flatnonzero(is_new | (shares > TOUCHED_SHARE))
-    shown, fitted_scene = views.select(rows), scene.restricted_to(rows)
-    added = _seeds(model, fitted_scene, shown, config)
+    fitted_views, fitted_scene = views.select(rows), scene.restricted_to(rows)
+    added = _seeds(model, fitted_scene, fitted_views, config)
     if not moved.any() and not len(added):
         raise BadInput("the new photographs show none of the model and agree on no point beside it: nothing is to be refined.")
-    near = np.flatnonzero(moved | reached_by(model, shown.cameras))
+    near = np.flatnonzero(moved | reached_by(model, fitted_views.cameras))
     start = concatenate_splats([model.select(near), added])
     frozen = np.concatenate([~moved[near], np.zeros(len(added), bool)])
     steady = replace(
         config, sh_degree=model.sh_degree, sh_degree_every=0, density=NoDensification(), start_scale=1.0, drop_gaussians="none",
         settle_epochs=None,
     )  # fmt: skip
-    result = fit_splats(start, shown, steady, replace(options, frozen=frozen, steps=Steps(end=RATES_END)))
+    result = fit_splats(start, fitted_views, steady, replace(options, frozen=frozen, steps=Steps(end=RATES_END)))
     return RefinedModel(
         splats=_put_back(model, result.splats, near, moved), moved=moved, views=rows, num_steps=result.num_steps, decisions=decisions
     )

@@ -79,9 +79,9 @@ def add_photographs(scene: SfmScene, images: Path, folder: Path, work_folder: Pa
     listing = list_usable(folder, report)
     root, prefix = folder.resolve().parent, folder.resolve().name
     new = tuple(replace(photo, name=f"{prefix}/{photo.name}") for photo in listing.photographs)
-    taken = sorted({photo.name for photo in new} & set(scene.cameras.names))
-    if taken:
-        raise BadInput(f"the scene has a photograph {taken[0]!r} already ({len(taken)} in all): rename the folder {folder}.")
+    clashes = sorted({photo.name for photo in new} & set(scene.cameras.names))
+    if clashes:
+        raise BadInput(f"the scene has a photograph {clashes[0]!r} already ({len(clashes)} in all): rename the folder {folder}.")
     work_folder.mkdir(parents=True, exist_ok=True)
     for name in DATABASE_FILES:
         (work_folder / name).unlink(missing_ok=True)
@@ -292,8 +292,8 @@ def _without_repeats(scene: SfmScene, num_before: int, images: Path, added: Path
     new_row[staying] = np.arange(len(staying))
     observations = scene.observations[new_row[scene.observations[:, 1]] >= 0]
     observations = np.column_stack([observations[:, 0], new_row[observations[:, 1]]])
-    said = f"{len(dropped)} new photographs repeat others and are left out: {', '.join(names[row] for row in dropped[:5])}."
-    return replace(scene, cameras=scene.cameras.select(staying), observations=observations), (said,)
+    sentence = f"{len(dropped)} new photographs repeat others and are left out: {', '.join(names[row] for row in dropped[:5])}."
+    return replace(scene, cameras=scene.cameras.select(staying), observations=observations), (sentence,)
 
 
 def _unplaced_warning(unplaced: Sequence[str], total: int) -> tuple[str, ...]:

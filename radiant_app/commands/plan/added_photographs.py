@@ -107,8 +107,8 @@ def extend_by_photographs(request: AddedRequest, display: ProgressDisplay) -> di
             placed, new_held_out = work.place()
             refined = work.refine(placed, new_held_out)
             metrics = work.score(placed, refined, new_held_out)
-        known = work.compare(display)
-        metrics["known"] = known.figures()
+        change = work.compare(display)
+        metrics["cells"] = change.figures()
         metrics["seconds"] = {stage: times["ended_s"] - times["started_s"] for stage, times in record.stages.items()}
         write_json(request.out / "metrics.json", metrics)
         write_added_page(request.out, metrics, record, PICTURE_NAME)
@@ -254,9 +254,9 @@ class _Work:
         """What is known of each cell before and after; writes map and picture."""
         with Stage("cells", self.emit, time.monotonic):
             after = load_survey(self.request.out, as_trained=True)
-            known = known_before_after(after, self.before, display)
-            write_before_after(known, self.request.out)
-        return known
+            change = known_before_after(after, self.before, display)
+            write_before_after(change, self.request.out)
+        return change
 
 
 def _scores(  # noqa: PLR0913
@@ -311,7 +311,7 @@ def _printed(request: AddedRequest, metrics: dict[str, Any]) -> dict[str, Any]:
         **{name: extension[name] for name in ("new_photographs", "moved", "unchanged", "added", "steps")},
         **({"unplaced": ", ".join(extension["unplaced"])} if extension["unplaced"] else {}),
         "held_out": "; ".join(f"{name} {figure}" for name, figure in scored.items()) or "none",
-        **metrics["known"],
+        **metrics["cells"],
         "map": str(request.out / CHANGE_NAME),
         "report": str(request.out / "report.html"),
         "model": str(request.out / "scene.ply"),

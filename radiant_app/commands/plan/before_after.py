@@ -87,15 +87,15 @@ def _held_out_db(survey: Survey, model: Splats, sights: Sights, sightings: tuple
     return mean_errors_db(len(sights.facets), [sightings[row] for row in held_out], errors)
 
 
-def write_before_after(known: BeforeAfter, folder: Path) -> None:
+def write_before_after(change: BeforeAfter, folder: Path) -> None:
     """Write map and picture into the existing folder."""
     from radiant_viewer.charts.change_of_known_chart import change_of_known_picture
     from radiant_viewer.pictures.images import save_png
 
-    grid = known.after.facets.surface.grid
-    layers = [known_map.bands(NO_DATA) for known_map in (known.before, known.after)]
+    grid = change.after.facets.surface.grid
+    layers = [known_map.bands(NO_DATA) for known_map in (change.before, change.after)]
     bands = np.stack([one[..., band] for band in LAYERS.values() for one in layers], axis=-1)
     classes = (len(BANDS) - 2, len(BANDS) - 1)
     raster = TiledRaster(place=grid, shape=grid.shape, bands=BANDS, tile_px=TILE_PX, dtype=np.float32, no_data=NO_DATA, classes=classes)
     save_tiles(folder / CHANGE_NAME, raster, cut_tiles(bands, TILE_PX, NO_DATA))
-    save_png(folder / PICTURE_NAME, change_of_known_picture(known.before, known.after, known.survey.run.unit))
+    save_png(folder / PICTURE_NAME, change_of_known_picture(change.before, change.after, change.survey.run.unit))

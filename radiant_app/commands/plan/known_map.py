@@ -94,13 +94,13 @@ def write_known(known_map: FoundMap, folder: Path) -> dict[str, Any]:
 def _save_kinds(folder: Path, layers: KnownMap) -> None:
     """The kinds of cells in colours, as windows lay them over a run."""
     from radiant_viewer.charts.known_chart import kinds_image
-    from radiant_viewer.layers.known_layer import KNOWN
+    from radiant_viewer.layers.known_layer import KNOWN_MAP
 
     grid = layers.facets.surface.grid
     raster = TiledRaster(
         place=grid, shape=grid.shape, bands=("red", "green", "blue", "alpha"), tile_px=TILE_PX, dtype=np.uint8, colors=True
     )  # fmt: skip
-    save_tiles(folder / Path(KNOWN).name, raster, cut_tiles(kinds_image(layers), TILE_PX))
+    save_tiles(folder / Path(KNOWN_MAP).name, raster, cut_tiles(kinds_image(layers), TILE_PX))
 
 
 def figures_of(known_map: FoundMap) -> dict[str, Any]:

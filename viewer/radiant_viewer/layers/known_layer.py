@@ -10,7 +10,7 @@ from radiant_viewer.layers.ortho_layer import map_picture_layer
 from radiant_viewer.layers.palette import VERMILLION, YELLOW
 
 NAME = "What is known"
-KNOWN = "known/known_map.tif"
+KNOWN_MAP = "known/known_map.tif"
 """Its file in the folder of a run."""
 KNOWN_BLUE, WALL_BLACK = (165, 205, 232), (0, 0, 0)
 KINDS = (
@@ -26,4 +26,4 @@ def known_layer(run: Path, frame: Frame, height: float) -> Layer | None:
     """The layer at the `height` of the ground; None where the run has no such map, BadInput where
     that cannot be read or lies elsewhere."""
     legend = tuple(LegendEntry(text=f"{name[0].upper()}{name[1:]}", color=color, marker="area") for name, color in KINDS)
-    return map_picture_layer(run / KNOWN, run, frame, height, Layer(name=NAME, legend=legend))
+    return map_picture_layer(run / KNOWN_MAP, run, frame, height, Layer(name=NAME, legend=legend))
