@@ -115,11 +115,11 @@ def _in_light_of(
 
 def _seeds(model: Splats, scene: SfmScene, views: TrainingViews, config: TrainConfig) -> Splats:
     """Gaussians on points of these views where the model has nothing."""
+    if len(scene.points) < 4:
+        return model.select(np.zeros(0, np.int64))
     num_pixels = int(views.cameras.sizes_wh.prod(axis=1).sum())
     dense = dense_points(scene, views, most=num_pixels // PIXELS_PER_POINT, seed=config.seed, num_threads=torch.get_num_threads())
     bare = replace(config, sh_degree=model.sh_degree, antialiased=model.antialiased, sky=False, fill_in=False)
-    if len(scene.points) < 4:
-        return model.select(np.zeros(0, np.int64))
     seeds, _ = first_splats(scene, views, bare, dense)
     standing = model.means[model.logit_opacities > VISIBLE_LOGIT]
     if not len(standing):
