@@ -70,7 +70,7 @@ def refined(before: Splats, truth: Splats, gain: float = 1.0) -> RefinedModel:
 
 
 def corner_is_wrong(truth: Splats) -> Splats:
-    wrong = (truth.means[:, :2] > 3).all(axis=1)
+    wrong = np.asarray((truth.means[:, :2] > 3).all(axis=1))
     return replace(truth, sh0=np.where(wrong[:, None, None], np.float32(0), truth.sh0))
 
 
