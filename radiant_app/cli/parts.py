@@ -209,8 +209,12 @@ def join(
     ],
     new: Annotated[Path | None, typer.Argument(help="The run of a new region beside it.")] = None,
     *,
-    out: Annotated[Path, typer.Option("--out", help="PLY of the joined scene.", show_default=False)],
-    epochs: Annotated[int | None, typer.Option(min=1, help="Times each view is shown; by default of the preset, with NEW 5.")] = None,
+    out: Annotated[Path, typer.Option("--out", help="PLY of the joined scene; with --photographs a new folder.", show_default=False)],
+    photographs: Annotated[Path | None, typer.Option(help="Folder of new photographs: the model is refined where they show it.")] = None,
+    epochs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Times each view is shown; by default of the preset, with NEW 5, with --photographs by its steps."),
+    ] = None,
     aggregate_preset: AggregatePresetOption = "default",
     region: Annotated[
         Path | None,
@@ -226,17 +230,29 @@ def join(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Join a run's models again, or a new region to a finished scene.
+    """Join a run's models again, a new region or new photographs to it.
 
     Joining the device models of a run again has no memory limit and refines nothing. Beyond the
-    margin of a new region, the finished scene keeps every bit.
+    margin of a new region, and where no new photograph shows it, the model keeps every bit.
 
     radiant join RUN --out joined.ply --aggregate-preset paper
     radiant join RUN EAST_RUN --out larger.ply
+    radiant join RUN --photographs NEW --out FOLDER
     """
     from radiant_app.report.progress import show_starting, terminal_display
 
     typed = typed_options(context)
+    wrong = [typed[name] for name in ("new", "region", "margin_m", "aggregate_preset") if photographs is not None and name in typed]
+    if wrong:
+        raise BadInput(
+            f"--photographs adds photographs to one run, and {wrong[0].replace('new', 'NEW')} joins models: leave one of them out."
+        )
+    if photographs is not None:
+        with show_starting():
+            from radiant_app.commands.plan.added_photographs import AddedRequest, extend_by_photographs
+
+        added = AddedRequest(run=run_folder, photographs=photographs, out=out, num_epochs=epochs)
+        return finish(extend_by_photographs(added, terminal_display()), as_json)
     wrong = [typed[name] for name in (("region", "margin_m") if new is None else ("aggregate_preset",)) if name in typed]
     if wrong and new is None:
         raise BadInput(f"{wrong[0]} is of a new region: name the run of that region too, radiant join RUN NEW.")

@@ -17,6 +17,7 @@ from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided, Warned
 from radiant_app.executors.local import LocalExecutor, run_task
 from radiant_app.executors.protocol import Executor, NodeTask
+from radiant_app.run.capture_warnings import capture_warnings
 from radiant_app.run.dealing import Dealer, count_received, deal_files, deal_masks
 from radiant_app.run.few_photographs import Workforce, choose_workforce
 from radiant_app.run.grouping import choose_run_groups
@@ -183,7 +184,10 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
     if scene.frame.kind == "unscaled":
         message = "frame=unscaled: no usable GPS, lengths are in arbitrary units, not metres."
         progress.listen(Warned(stage="sfm", message=message))
-    return scene, folder / read_json(folder / "result.json", ("images",))["images"]
+    images = folder / read_json(folder / "result.json", ("images",))["images"]
+    for sentence in capture_warnings(scene, images):
+        progress.listen(Warned(stage="sfm", message=sentence))
+    return scene, images
 
 
 def require_size(scene: SfmScene, long_side_px: int, lpips: LpipsNetwork | None = None) -> None:

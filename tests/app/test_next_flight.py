@@ -15,10 +15,17 @@ from rich.console import Console
 
 from radiant_app.commands.plan.next_flight import NextFlightRequest, plan_next_flight
 from radiant_app.events import Event, Warned
+from radiant_app.report.known_section import BEGIN, END, add_known_section
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
-from radiant_core.next_flight.layers import BANDS
+from radiant_core.export.geotiff import NO_DATA
+from radiant_core.next_flight.layers import BANDS, HOLE
 from radiant_core.waypoints.reader import read_waypoints
+from radiant_viewer.layers.known_layer import NAME as KNOWN_LAYER
+from radiant_viewer.layers.palette import VERMILLION
+from radiant_viewer.runs.run_layers import hidden_at_first, run_layers
+from radiant_viewer.runs.run_view import load_run_view
+from radiant_viewer.window.subject import load_subject
 from tests.viewer.made_up_run import made_up_town, save_run
 
 SAFE_M = 6.0
@@ -102,11 +109,43 @@ def test_lists_are_read_back_alike(flown: tuple[Path, dict[str, Any], list[Event
     assert sum(element.tag.endswith("Placemark") for element in root.iter()) == len(waypoints)
 
 
+def test_a_map_inside_its_run_is_a_hidden_layer_and_a_section_of_the_report(run: Path) -> None:
+    assert KNOWN_LAYER not in {layer.name for layer in run_layers(load_run_view(run))}
+    report = run / "report.html"
+    report.write_text(f"<p>before</p>{BEGIN}{END}<p>after</p>")
+    figures = plan_next_flight(NextFlightRequest(run=run, out=run / "known", resolution=4.0), Hearing())
+    subject = load_subject(run)
+    layer = next(layer for layer in subject.layers if layer.name == KNOWN_LAYER)
+    assert KNOWN_LAYER in hidden_at_first(subject.layers)
+    assert layer.picture is not None
+    with tifffile.TiffFile(run / "known" / "known.tif") as file:
+        bands = file.asarray()
+    image = layer.picture.image
+    holes = (bands[..., 6] == HOLE) & (bands[..., 8] <= 0)
+    assert (image[holes] == (*VERMILLION, 255)).all()
+    assert (image[..., 3] == 0).sum() == (bands[..., 6] == NO_DATA).sum()
+    # North is up, and the corners are those of the cells.
+    assert np.ptp(layer.picture.corners[:, 0]) == pytest.approx(4.0 * image.shape[1], rel=0.01)
+    assert layer.picture.corners[0, 1] > layer.picture.corners[3, 1]
+    page = report.read_text()
+    assert page.startswith("<p>before</p>")
+    assert page.endswith("<p>after</p>")
+    assert page.count("What is known of the surface") == 1
+    assert f"{figures['hole_walls']:,.0f}" in page
+    assert "only down" in page
+    assert add_known_section(report, run / "known" / "known.png", figures)
+    assert report.read_text() == page
+    (run / "known" / "known_map.tif").write_bytes(b"none")
+    subject = load_subject(run)
+    assert "cannot be read" in subject.summary
+    assert KNOWN_LAYER not in {layer.name for layer in subject.layers}
+
+
 def test_the_map_alone_has_no_flight_and_bad_requests_leave_nothing(run: Path) -> None:
     out = run.parent / "map"
     figures = plan_next_flight(NextFlightRequest(run=run, out=out, resolution=4.0), Hearing())
     assert "views" not in figures
-    assert sorted(path.name for path in out.iterdir()) == ["known.geojson", "known.png", "known.tif"]
+    assert sorted(path.name for path in out.iterdir()) == ["known.geojson", "known.png", "known.tif", "known_map.tif"]
     nothing = run.parent / "nothing"
     for request, said in (
         (NextFlightRequest(run=run, out=nothing, photographs=0), "expected 1 or more"),

@@ -51,7 +51,7 @@ def seen_ground(scene: SfmScene, map_frame: MapFrame) -> SeenGround:
     # A COLMAP text model may come without tracks: then every point counts.
     counts = counts if len(scene.observations) else np.full(len(scene.points), MIN_VIEWS)
     centers = scene.cameras.centers
-    reach = _usual_depth(scene)
+    reach = usual_depth(scene)
     near = ((scene.points >= centers.min(axis=0) - reach) & (scene.points <= centers.max(axis=0) + reach))[:, :2].all(axis=1)
     points = scene.points[near & (counts >= MIN_VIEWS)]
     if len(points) < MIN_POINTS:
@@ -69,7 +69,7 @@ def seen_ground(scene: SfmScene, map_frame: MapFrame) -> SeenGround:
     return SeenGround(hull=hull, low=low, high=high, level=float(np.median(points[:, 2])), reach=reach, gsd=gsd)
 
 
-def _usual_depth(scene: SfmScene) -> float:
+def usual_depth(scene: SfmScene) -> float:
     """Median over cameras of the median depth of the points in their pictures; 0 where none sees
     one."""
     chosen = np.unique(np.linspace(0, len(scene.cameras) - 1, MOST_CAMERAS).astype(np.int64)) if len(scene.cameras) else []

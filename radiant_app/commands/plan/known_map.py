@@ -9,20 +9,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiant_app.commands.run.steps import stage_bar
 from radiant_app.commands.survey.parts import Survey, support_of_survey
 from radiant_app.commands.survey.surface import photographs_of_survey
 from radiant_app.events import Decided, Warned
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.capture_warnings import faults_of_capture
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
 from radiant_core.geometry.cleaning import keeps_places
 from radiant_core.io.run_store import write_json
-from radiant_core.next_flight.capture_faults import CaptureFault, capture_faults
+from radiant_core.next_flight.capture_faults import CaptureFault
 from radiant_core.next_flight.facets import Facets
 from radiant_core.next_flight.layers import BANDS, CLASSES, HOLE, WEAK, KnownMap, support_raster, weak_features
 from radiant_core.next_flight.model_surface import MapView, facets_of_model
@@ -38,7 +38,7 @@ PIXELS_PER_CELL = 4.0
 MOST_CELLS = 20_000
 """Cells are wider than `PIXELS_PER_CELL` where they would be more: each is asked for of every
 candidate view."""
-LONG_SIDE_PX, THUMBNAIL_PX = 320, 160
+LONG_SIDE_PX = 320
 TILE_PX = 256
 STAGE = "known"
 
@@ -63,14 +63,14 @@ class FoundMap:
 def find_known(survey: Survey, resolution: float | None, display: ProgressDisplay) -> FoundMap:
     """What is known of the surface in cells of `resolution`, by default of four pixels of the
     photographs, and at most `MOST_CELLS` of them. BadInput where the model has no surface."""
-    cell = _cell(survey, resolution, display)
-    facets = _facets(survey, cell, display)
+    cell = map_cell(survey, resolution, display)
+    facets = facets_of_survey(survey, cell, display)
     sights = Sights(facets, survey.map_frame)
     cameras = survey.run.scene.cameras.select(np.array(survey.trained, np.int64))
     with stage_bar(display, "views") as report:
         sightings = sights.all_of(cameras, lambda num_done, total: report(num_done, total, "photographs"))
     known_facets = known_by(sights, cameras, sightings)
-    faults = capture_faults(survey.run.scene, survey.ground.reach, _small_images(survey))
+    faults = faults_of_capture(survey.run.scene, photographs_of_survey(survey))
     for fault in faults:
         display(Warned(stage=STAGE, message=fault.sentence))
     error_db, model = _errors(survey, sights, known_facets.score, display)
@@ -85,9 +85,22 @@ def write_known(known_map: FoundMap, folder: Path) -> dict[str, Any]:
     grid, survey = known_map.layers.facets.surface.grid, known_map.survey
     raster = TiledRaster(place=grid, shape=grid.shape, bands=BANDS, tile_px=TILE_PX, dtype=np.float32, no_data=NO_DATA, classes=CLASSES)
     save_tiles(folder / "known.tif", raster, cut_tiles(known_map.layers.bands(NO_DATA), TILE_PX, NO_DATA))
+    _save_kinds(folder, known_map.layers)
     about = {"unit": survey.run.unit, **_error_figures(known_map.errors)}
     write_json(folder / "known.geojson", to_geojson(survey.map_frame, weak_features(known_map.layers, survey.map_frame), about))
     return {"crs": survey.map_frame.crs, "cells": f"{grid.columns} x {grid.rows}", "resolution": grid.cell, **figures_of(known_map)}
+
+
+def _save_kinds(folder: Path, layers: KnownMap) -> None:
+    """The kinds of cells in colours, as windows lay them over a run."""
+    from radiant_viewer.charts.known_chart import kinds_image
+    from radiant_viewer.layers.known_layer import KNOWN_MAP
+
+    grid = layers.facets.surface.grid
+    raster = TiledRaster(
+        place=grid, shape=grid.shape, bands=("red", "green", "blue", "alpha"), tile_px=TILE_PX, dtype=np.uint8, colors=True
+    )  # fmt: skip
+    save_tiles(folder / Path(KNOWN_MAP).name, raster, cut_tiles(kinds_image(layers), TILE_PX))
 
 
 def figures_of(known_map: FoundMap) -> dict[str, Any]:
@@ -113,7 +126,9 @@ def _error_figures(model: ErrorModel | None) -> dict[str, Any]:
     return {"error_cells": model.num_cells, "error_photographs": model.num_photographs, **rounded}
 
 
-def _cell(survey: Survey, resolution: float | None, display: ProgressDisplay) -> float:
+def map_cell(survey: Survey, resolution: float | None, display: ProgressDisplay) -> float:
+    """The cell that was asked for, else of four pixels of the photographs, or wider; BadInput for
+    no number above zero."""
     if resolution is not None:
         if not (np.isfinite(resolution) and resolution > 0):
             raise BadInput(f"a resolution of {resolution} was asked for, expected a number above zero.")
@@ -131,17 +146,8 @@ def _cell(survey: Survey, resolution: float | None, display: ProgressDisplay) ->
     return cell
 
 
-def _small_images(survey: Survey) -> list[NDArray[np.uint8]] | None:
-    """Thumbnails in the order of the cameras; None where photographs are not at hand."""
-    from radiant_core.train.photographs import load_images
-
-    images, cameras = photographs_of_survey(survey), survey.run.scene.cameras
-    if images is None or not all((images / name).is_file() for name in cameras.names):
-        return None
-    return list(load_images(images, cameras.scaled(THUMBNAIL_PX)))
-
-
-def _facets(survey: Survey, cell: float, display: ProgressDisplay) -> Facets:
+def facets_of_survey(survey: Survey, cell: float, display: ProgressDisplay) -> Facets:
+    """The model's surface in such cells, as facets; BadInput where it has none."""
     ground, scene = survey.ground, survey.run.scene
     with stage_bar(display, "surface") as report:
         return facets_of_model(

@@ -24,6 +24,7 @@ from radiant_app.commands.survey.parts import Survey, load_survey
 from radiant_app.events import Decided, Warned
 from radiant_app.files.run_folder import create_folder
 from radiant_app.files.system_file import even_system, load_system
+from radiant_app.report.known_section import add_known_section
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cloud_planning import place_edges_by_raster
 from radiant_core.decisions import Decision
@@ -119,6 +120,8 @@ def plan_next_flight(request: NextFlightRequest, display: ProgressDisplay) -> di
         figures = write_known(known_map, request.out)
         proposal = _propose(request, system, known_map, no_fly, display) if wants_flight else None
         _draw(request.out, known_map, proposal)
+        if request.out.resolve().parent == request.run.resolve():
+            add_known_section(request.run / "report.html", request.out / "known.png", figures)
         written = {"map": str(request.out / "known.tif"), "picture": str(request.out / "known.png")}
         return {**figures, **written, **({} if proposal is None else _write_flights(request, proposal, display))}
 

@@ -154,10 +154,10 @@ def train(
             manifest.record(event, clock() - progress.started_s)
             listen(event)
 
-        with _Stage(STAGE, emit, clock) as stage:
+        with Stage(STAGE, emit, clock) as stage:
             training = _prepare(request, scene, photos, stage)
             model, summary = _train_model(training, request, stage)
-        with _Stage("evaluation", emit, clock) as stage:
+        with Stage("evaluation", emit, clock) as stage:
             held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(training.config.long_side_px)
             figures = _score_model(request.out, (model, training), held_out, photos, stage)
         placing = placing_of_run(request.source if has_scene(request.source) else request.out)
@@ -166,14 +166,14 @@ def train(
         return metrics
 
 
-class _Stage:
+class Stage:
     """One stage of this process: tells when it begins and ends."""
 
     def __init__(self, name: str, emit: Listener, clock: Callable[[], float]) -> None:
         self.name, self.emit, self._clock = name, emit, clock
         self._begun_s = clock()
 
-    def __enter__(self) -> _Stage:
+    def __enter__(self) -> Stage:
         self.emit(StageStarted(stage=self.name))
         return self
 
@@ -244,7 +244,7 @@ def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Pho
     return scene, _Photos(images=images, masks=masks_folder_of(request.source), captures=captures_of(request.source))
 
 
-def _prepare(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> PreparedTraining:
+def _prepare(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: Stage) -> PreparedTraining:
     base_bytes = resident_bytes()
     if len(scene.cameras) < MIN_PHOTOGRAPHS:
         raise BadInput(f"the scene has {len(scene.cameras)} photographs, expected at least {MIN_PHOTOGRAPHS}: take more that overlap.")
@@ -308,7 +308,7 @@ def _resolve_config(request: TrainRequest, backend: str) -> tuple[TrainConfig, t
     return config, (budget, *(decision for decision in decisions if decision.topic != "num_steps" or request.overrides.num_steps))
 
 
-def _train_model(training: PreparedTraining, request: TrainRequest, stage: _Stage) -> tuple[Splats, dict[str, Any]]:
+def _train_model(training: PreparedTraining, request: TrainRequest, stage: Stage) -> tuple[Splats, dict[str, Any]]:
     """The model and a summary of its training: taken from the folder if whole, else trained on."""
     out = request.out
     if is_sealed(out, training.key):
@@ -349,7 +349,7 @@ def _validation_figures(result: TrainResult) -> dict[str, Any]:
     return {"best_step": result.best_step, "validation": [{"step": step, "psnr_db": figure} for step, figure in result.validation]}
 
 
-def _score_model(out: Path, models: tuple[Splats, PreparedTraining], cameras: Cameras, photos: _Photos, stage: _Stage) -> dict[str, Any]:
+def _score_model(out: Path, models: tuple[Splats, PreparedTraining], cameras: Cameras, photos: _Photos, stage: Stage) -> dict[str, Any]:
     """Figures of the trained and the first model on the held-out photographs; writes the
     pictures."""
     model, training = models
@@ -394,7 +394,7 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
             decisions.append(event.decision)
         listen(event)
 
-    with _Stage(STAGE, emit, clock) as stage:
+    with Stage(STAGE, emit, clock) as stage:
         training = _prepare(request, scene, photos, stage)
         result = fit_prepared(training, stage.reporter)
     with folder_made_for(request.out):

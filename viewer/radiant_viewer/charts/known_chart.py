@@ -9,16 +9,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from radiant_core.export.geotiff import NO_DATA
 from radiant_core.next_flight.layers import KnownMap
 from radiant_core.numerics import FloatArray
-from radiant_viewer.layers.palette import GREY, VERMILLION, YELLOW, unit_rgb
+from radiant_viewer.layers.known_layer import KINDS
+from radiant_viewer.layers.palette import GREY, unit_rgb
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, style_axes, titled_figure
 
 PANEL_PX, TOP_PX, LEFT_PX, FOOT_PX, BAR_PX = 570, 78, 90, 110, 70
-KIND_COLORS = tuple(unit_rgb(color) for color in ((165, 205, 232), YELLOW, VERMILLION))
+KIND_COLORS = tuple(unit_rgb(color) for _, color in KINDS)
 MOST_VIEWS = 12
 
 
@@ -49,7 +51,8 @@ def known_picture(known_map: KnownMap, unit: str, flights: Sequence[FlownLine] =
         axes.set_title(label, fontsize=10, color=INK_COLOR, loc="left")
         bar = figure.colorbar(picture, ax=axes, fraction=0.046, pad=0.02)
         bar.ax.tick_params(labelsize=8)
-    _draw_weak(panels[2], bands, extent)
+    draw_kinds(panels[2], bands, extent)
+    panels[2].set_title("What is weak, and the next flight", fontsize=10, color=INK_COLOR, loc="left")
     for line in flights:
         _draw_flight(panels[2], line)
     for axes in panels:
@@ -59,22 +62,31 @@ def known_picture(known_map: KnownMap, unit: str, flights: Sequence[FlownLine] =
     return figure_image(figure)
 
 
+def kinds_image(known_map: KnownMap) -> NDArray[np.uint8]:
+    """Return the kinds of the cells in their colours (H,W,4), rows southwards; alpha 0 where
+    nothing is known."""
+    bands = known_map.bands(NO_DATA)
+    kinds = np.where(bands[..., 6] == NO_DATA, 0, bands[..., 6]).astype(np.int64)
+    kinds = np.where(bands[..., 8] > 0, len(KINDS), kinds)
+    colors = np.array([(0, 0, 0, 0), *((*color, 255) for _, color in KINDS)], np.uint8)
+    return colors[kinds]
+
+
 def _span(ends: tuple[float, float], flights: Sequence[FlownLine], axis: int) -> tuple[float, float]:
     values = np.concatenate([np.array(ends), *(line.way[:, axis] for line in flights)])
     margin = 0.02 * float(np.ptp(values))
     return float(values.min()) - margin, float(values.max()) + margin
 
 
-def _draw_weak(axes: Axes, bands: FloatArray, extent: tuple[float, float, float, float]) -> None:
-    colors = ListedColormap(KIND_COLORS)
+def draw_kinds(axes: Axes, bands: FloatArray, extent: tuple[float, float, float, float]) -> None:
+    """Draw which cells are known, weak or holes, by the bands (H,W,9) of a map, and name the
+    colours below."""
+    colors = ListedColormap(KIND_COLORS[:3])
     axes.imshow(bands[..., 6], extent=extent, cmap=colors, norm=BoundaryNorm([0.5, 1.5, 2.5, 3.5], 3), interpolation="none", aspect="equal")
     walls = np.where(bands[..., 8] > 0, 1.0, np.nan)
-    axes.imshow(walls, extent=extent, cmap=ListedColormap(["#000000"]), interpolation="none", aspect="equal")
-    names = ("known", "fewer than 2 views or 2° parallax", "no photograph")
-    handles = [Patch(color=color, label=name) for color, name in zip(KIND_COLORS, names, strict=True)]
-    handles.append(Patch(color="#000000", label="wall that no photograph shows"))
+    axes.imshow(walls, extent=extent, cmap=ListedColormap(KIND_COLORS[3:]), interpolation="none", aspect="equal")
+    handles = [Patch(color=color, label=name) for color, (name, _) in zip(KIND_COLORS, KINDS, strict=True)]
     axes.legend(handles=handles, fontsize=7, loc="upper left", bbox_to_anchor=(0, -0.16), ncols=2, frameon=False)
-    axes.set_title("What is weak, and the next flight", fontsize=10, color=INK_COLOR, loc="left")
 
 
 def _draw_flight(axes: Axes, line: FlownLine) -> None:

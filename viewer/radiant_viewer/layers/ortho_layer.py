@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,20 +26,22 @@ MAX_PX = 4096
 def ortho_layer(run: Path, frame: Frame, height: float) -> Layer | None:
     """The layer of a run's orthophoto at the `height` of its ground; None where it has none,
     BadInput where that cannot be read or lies elsewhere."""
-    path = run / ORTHO
+    return map_picture_layer(run / ORTHO, run, frame, height, Layer(name=NAME))
+
+
+def map_picture_layer(path: Path, run: Path, frame: Frame, height: float, layer: Layer) -> Layer | None:
+    """`layer` with the picture of a GeoTIFF and, in its legend, the picture's size; None and
+    BadInput as `ortho_layer`."""
     if not path.is_file():
         return None
     picture = load_map_picture(path, MAX_PX)
     if (picture.epsg is None) != (frame.kind != "metric"):
-        raise BadInput(f"{path} and the run do not both have a place on the globe: make the orthophoto anew.")
+        raise BadInput(f"{path} and the run do not both have a place on the globe: make it anew.")
     system = None if picture.epsg is None else parse_crs(f"EPSG:{picture.epsg}").at(*frame.origin_lat_lon_alt[:2].tolist())
     corners = MapFrame(frame=frame, system=system).to_world(_corners(picture, frame, height))
     note = " (older than the model: make it anew)" if _is_outdated(path, run) else ""
-    return Layer(
-        name=NAME,
-        picture=LayerPicture(image=picture.image, corners=corners),
-        legend=(LegendEntry(text=f"{picture.image.shape[1]} × {picture.image.shape[0]} px{note}", color=GREY, marker="area"),),
-    )
+    size = LegendEntry(text=f"{picture.image.shape[1]} × {picture.image.shape[0]} px{note}", color=GREY, marker="area")
+    return replace(layer, picture=LayerPicture(image=picture.image, corners=corners), legend=(*layer.legend, size))
 
 
 def _corners(picture: MapPicture, frame: Frame, height: float) -> np.ndarray:

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.layers.camera_layer import camera_layer
 from radiant_viewer.layers.camera_roles import CameraRoles
+from radiant_viewer.layers.known_layer import NAME as KNOWN_LAYER
+from radiant_viewer.layers.known_layer import known_layer
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.region_layer import border_layer, edge_site_layer, region_layer, strip_layer
 from radiant_viewer.layers.seam_layer import SeamPieces, seam_layer
@@ -27,6 +30,7 @@ COVERING = frozenset(
         "Gaussians",
         SURROUNDINGS,
         SUPPORT,
+        KNOWN_LAYER,
         "Overlap",
         "Footprints",
         "Cameras by device",
@@ -48,6 +52,8 @@ def run_layers(run: RunView, *, with_seams: bool = True) -> list[Layer]:
         points += [layer for layer in model_layers(run.splats, framed_box(run.scene, run.cloud_plan)) if layer.name not in names]
     if run.splats is not None and (support := run_support(run)) is not None:
         points.append(support_layer(run.splats, support, run.scene.points))
+    if (what_is_known := layer_of_known(run)[0]) is not None:
+        points.append(what_is_known)
     cameras = [camera_layer(run.scene.cameras, run.roles, "split")]
     if run.placed_psnr_db:
         cameras.append(camera_layer(run.scene.cameras, run.roles, "psnr", run.placed_psnr_db))
@@ -59,6 +65,15 @@ def run_layers(run: RunView, *, with_seams: bool = True) -> list[Layer]:
     if with_seams and run.splats is not None and len(run.cloud_plan.edge_ids) > 1:
         seams.append(color_step_layer(run.scene, run.cloud_plan, run.splats))
     return [regions, strips, *points, borders, by_region, by_device, *cameras, *seams, edges]
+
+
+def layer_of_known(run: RunView) -> tuple[Layer | None, str]:
+    """Return the layer of the map that `radiant plan --next RUN --out RUN/known` made, if there is
+    one, and why it cannot be shown, as the end of a summary."""
+    try:
+        return known_layer(run.folder, run.scene.frame, ground_height(run.scene)), ""
+    except BadInput as error:
+        return None, f".   {error}"
 
 
 def hidden_at_first(layers: Sequence[Layer]) -> frozenset[str]:

@@ -22,7 +22,7 @@ from radiant_viewer.runs.cleaning_session import CleaningSession
 from radiant_viewer.runs.ground_map import GroundMap
 from radiant_viewer.runs.model_file import load_model
 from radiant_viewer.runs.plan_view import load_plan_view
-from radiant_viewer.runs.run_layers import ground_height, run_layers
+from radiant_viewer.runs.run_layers import ground_height, layer_of_known, run_layers
 from radiant_viewer.runs.run_view import FileStamps, RunView, file_stamps, load_run_view
 from radiant_viewer.runs.shown_model import framed_box, framed_positions
 
@@ -118,7 +118,7 @@ def run_subject(run: RunView) -> Subject:
         # Without a model there is nothing around it, and the layers are all there is to frame.
         box=None if run.splats is None else framed_box(run.scene, run.cloud_plan),
         framed=None if run.splats is None else framed_positions(run.scene, run.cloud_plan),
-        summary=f"{len(run.scene.cameras)} cameras, {dealt}, {model}{below}",
+        summary=f"{len(run.scene.cameras)} cameras, {dealt}, {model}{below}{layer_of_known(run)[1]}",
     )
 
 

@@ -49,6 +49,14 @@ def refine(model: pycolmap.Reconstruction, config: SfmConfig, report: Report) ->
 
 def adjust(model: pycolmap.Reconstruction, config: SfmConfig, *, refine_lenses: bool) -> pycolmap.Reconstruction:
     """A copy of `model` with poses and points adjusted, and its lenses where asked for."""
+    adjusted = pycolmap.Reconstruction(model)
+    options = robust_options(config, refine_lenses=refine_lenses)
+    call_colmap("refining", pycolmap.bundle_adjustment, adjusted, options, cancellation_token=pycolmap.CancellationToken())
+    return adjusted
+
+
+def robust_options(config: SfmConfig, *, refine_lenses: bool) -> pycolmap.BundleAdjustmentOptions:
+    """COLMAP's settings of an adjustment with the robust loss."""
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
     options.refine_sensor_from_rig = False
@@ -60,9 +68,7 @@ def adjust(model: pycolmap.Reconstruction, config: SfmConfig, *, refine_lenses: 
     options.ceres.solver_options.num_threads = config.threads
     options.ceres.solver_options.max_num_iterations = MAX_ITERATIONS
     options.ceres.solver_options.function_tolerance = LEAST_GAIN
-    adjusted = pycolmap.Reconstruction(model)
-    call_colmap("refining", pycolmap.bundle_adjustment, adjusted, options, cancellation_token=pycolmap.CancellationToken())
-    return adjusted
+    return options
 
 
 def _same_lenses(before: pycolmap.Reconstruction, after: pycolmap.Reconstruction) -> bool:
