@@ -111,5 +111,5 @@ def test_a_machine_without_cuda_trains_the_task_of_a_run_with_it_on_its_cpu(
     assert (tmp_path / "device" / "model.safetensors").read_bytes() == before, "as by the same task without CUDA"
     seat = {"parent": "edges/a", "num_views": 1, "first": 0, "masked": False}
     write_json(tmp_path / "device" / "task.json", {**task, "backend": "gsplat", "seat": seat})
-    with pytest.raises(BadInput, match="trains one model with others on CUDA and has no CUDA device .*--within-edge joined"):
+    with pytest.raises(BadInput, match=r"trains one model with others on CUDA and has no CUDA device .*--within-edge joined"):
         run_node("device", tmp_path / "device", "devices/one", events.append)
