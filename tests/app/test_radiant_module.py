@@ -142,7 +142,8 @@ def test_a_loss_and_a_densification_of_ones_own_are_what_trains(scene: radiant.S
     result = radiant.train(scene, config, num_steps=30, long_side_px=64, loss=loss, parts=[thinned], **none)
     assert thinned.steps == list(range(1, 31)) and len(losses) == 30
     assert abs(len(result.splats) - len(plain.splats) / 2) < 0.02 * len(plain.splats), "a few may show in no pixel and go in the end"
-    assert (result.first_loss, result.last_loss) == (np.mean(losses[:3]), np.mean(losses[-3:])) and losses[-1] < losses[0]
+    assert (result.first_loss, result.last_loss) == (np.mean(losses[:3]), np.mean(losses[-3:]))
+    assert np.mean(losses[20:]) < np.mean(losses[10:20]), "ten views, once each"
     with pytest.raises(radiant.BadInput, match=r"parts\[0\] is a int, expected an object of a subclass of radiant\.Part\."):
         radiant.train(scene, config, num_steps=1, parts=[3])  # pyright: ignore[reportArgumentType]
     with pytest.raises(TypeError, match=r"a tensor of shape \(48, 64, 3\), expected a scalar tensor"):
