@@ -147,7 +147,7 @@ class DevicePhotographs:
             message = (
                 f"{is_elsewhere.sum()} of {len(is_elsewhere)} photographs of device {device} lie where the plan has devices of another edge"
             )
-            progress.listen(Warned(stage="plan", message=f"{message}: were folders exchanged? What it shows there may be cut away."))
+            progress.listen(Warned(stage="plan", message=f"{message}: were folders mixed up? What it shows there may be cut away."))
         return plan
 
     def _warn_of_idle(self, system: System, owners: set[str], progress: Progress) -> None:
@@ -155,7 +155,7 @@ class DevicePhotographs:
         if file is not None and (message := deal_uncaptured(self.config.out, load_plan_before_capture(file), system, owners)) is not None:
             progress.listen(Warned(stage="plan", message=message))
         for device in (device.id for device in system.devices if device.id not in (self.folders or ())):
-            progress.listen(Warned(stage="plan", message=f"device {device} has no folder of photographs, it takes no part."))
+            progress.listen(Warned(stage="plan", message=f"device {device} has no folder of photographs and takes no part."))
 
     def use_recipe(self, recipe: Recipe) -> None:
         """Deal by the plan of this recipe from now on."""
