@@ -1,4 +1,4 @@
-"""The renderer of a task on the machine that runs it: the run was planned on another one, perhaps."""
+"""The renderer of a task on the machine that runs it, which may not be the one that planned it."""
 
 from __future__ import annotations
 
