@@ -95,7 +95,7 @@ def decisions_of_a_plan() -> Iterator[Decision]:
 
 
 def decisions_of_a_training() -> Iterator[Decision]:
-    config = replace(train_preset("default"), density=Adc(kind="planned"))
+    config = replace(train_preset("default"), density=Adc(kind="planned", thin_to="auto"))
     for count in (20, 50, 100):
         yield from fit_to_cameras(config, cameras_above([(0.1 * v, 0.0) for v in range(count)]))[1]
     for share in (0.0, 0.5):

@@ -14,9 +14,9 @@ from typing import Any
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.plan.profiles.step_law import StepLaw
-from radiant_core.regimes import FEW_PHOTOGRAPHS, LENGTH, PHOTOGRAPHS, require
+from radiant_core.regimes import FEW_PHOTOGRAPHS, LENGTH, PHOTOGRAPHS, THINNING, require
 from radiant_core.train.config import TrainConfig, with_settings
-from radiant_core.train.densify.policies import NoDensification
+from radiant_core.train.densify.policies import Adc, NoDensification
 from radiant_core.train.views import TrainingViews
 
 MIN_PLANNED = 4_000
@@ -122,7 +122,8 @@ def fit_to_cameras(config: TrainConfig, cameras: Cameras) -> tuple[TrainConfig, 
     config, dropping = fit_dropping(config, len(cameras))
     config, size = _fit_size(config, cameras)
     config, length = _fit_length(config, len(cameras))
-    return config, (*size, *length, *dropping)
+    config, thinning = _fit_thinning(config, len(cameras))
+    return config, (*size, *length, *thinning, *dropping)
 
 
 def _fit_size(config: TrainConfig, cameras: Cameras) -> tuple[TrainConfig, tuple[Decision, ...]]:
@@ -209,6 +210,27 @@ def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple
         row=case.row,
     )
     return replace(config, num_steps=most), (decision,)
+
+
+def _fit_thinning(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple[Decision, ...]]:
+    """Whether Gaussians of which photographs show least go after growth, where that is "auto"."""
+    density = config.density
+    if not isinstance(density, Adc) or density.thin_to != "auto":
+        return config, ()
+    case = require(THINNING, {"photographs": num_views})
+    percent = case.values["stays_percent"]
+    decision = Decision(
+        stage="train",
+        topic="Gaussians after growth",
+        choice="all stay" if percent == 100 else f"{percent} % stay, those that photographs show most",
+        figure=float(num_views),
+        unit="training photographs",
+        reason=case.reason,
+        row=case.row,
+        otherwise=f"--set train.density.thin_to={'0.75' if percent == 100 else '1'}",
+        changes_nothing=percent == 100,
+    )
+    return replace(config, density=replace(density, thin_to=percent / 100)), (decision,)
 
 
 def fit_dropping(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple[Decision, ...]]:
