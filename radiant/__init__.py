@@ -7,7 +7,7 @@
 
 photographs → scene     reconstruct, load_scene              Scene, Cameras
 scene → plan            plan_regions                         System, RegionPlan
-scene → model           train, join, run                     TrainConfig, TrainResult, RunConfig
+scene → model           train, join, run             TrainConfig, TrainResult, RunConfig, Part
 model → picture         render (numpy), rasterize (torch)    Splats, SplatTensors
 model → files           load_splats, save_splats, export
 run → picture           picture
@@ -37,12 +37,15 @@ from radiant_core.render.rendered_view import render_views as render
 from radiant_core.render.trajectories import Lens, cameras_looking_at, orbit
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainResult
 
 __all__ = [
     "BadInput",
     "Cameras",
     "Lens",
+    "Moment",
+    "Part",
     "PlanOptions",
     "RadiantError",
     "RegionPlan",

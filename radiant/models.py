@@ -37,8 +37,10 @@ from radiant_core.render.rasterize import resolve_backend
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend
+from radiant_core.train.parts import Part
 from radiant_core.train.results import TrainProgress, TrainResult
 from radiant_core.train.trainer import FitOptions
+from radiant_core.train.view_loss import ImageLoss
 
 _WRITERS = {".ply": save_ply, ".spz": save_spz, ".sog": save_sog}
 
@@ -88,6 +90,8 @@ def train(  # noqa: PLR0913
     long_side_px: int | None = None,
     seed: int = 0,
     rows: ArrayLike | None = None,
+    loss: ImageLoss | None = None,
+    parts: Sequence[Part] = (),
     **settings: Any,
 ) -> TrainResult:
     """Fit one model to the training photographs of a scene, as `radiant train`.
@@ -101,15 +105,23 @@ def train(  # noqa: PLR0913
         long_side_px: photographs are reduced to it; None: the preset's.
         seed: of the order of photographs and every random choice.
         rows: (K,) of `scene.cameras`, the photographs to train on; None: all but the held-out ones.
+        loss: of a render and its photograph, torch tensors (H,W,3) of 0 to 1, to a scalar tensor;
+            None: L1 and SSIM. Where settings are chosen by trials, these use L1 and SSIM.
+        parts: subclasses of `Part`, called in every step after the built-in ones, such as
+            your own densification, with `**{"density.kind": "none"}`.
         settings: other fields of `TrainConfig`, such as `sh_degree=2`.
 
     Returns:
         The model in `.splats`, in one light where photographs differ, and what it took.
 
     Raises:
-        BadInput: a setting or photograph that cannot be used.
+        BadInput: a setting, part or photograph that cannot be used.
         StageFailed: the training diverges.
+        TypeError: `loss` returns anything but a scalar tensor with a gradient.
     """
+    for number, part in enumerate(parts):
+        if Part not in type(part).__mro__:
+            raise BadInput(f"parts[{number}] is a {type(part).__name__}, expected an object of a subclass of radiant.Part.")
     backend = resolve_backend("auto")
     train_config = config if isinstance(config, TrainConfig) else train_preset(config)
     overrides = Overrides(num_steps=num_steps, long_side_px=long_side_px, settings=settings)
@@ -120,7 +132,9 @@ def train(  # noqa: PLR0913
     chosen = scene.indices("training") if rows is None else np.asarray(rows, np.int64)
     task = DeviceTask(scene=scene.sfm.restricted_to(chosen), train=fitted, backend=backend)
     listen(StageStarted(stage="train"))
-    result = fit_prepared(prepare_training(task, scene.views(chosen, fitted.long_side_px), reporter), reporter)
+    prepared = prepare_training(task, scene.views(chosen, fitted.long_side_px), reporter)
+    options = replace(prepared.options, loss=loss, parts=tuple(parts))
+    result = fit_prepared(replace(prepared, options=options), reporter)
     listen(StageDone(stage="train", seconds=result.seconds))
     return result
 

@@ -92,20 +92,20 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             ),
             limits={"photographs": _below(FEW_PHOTOGRAPHS)},
             values={"leaves_out": 1, "pixels_per_splat": 40},
-            reason=f"below {FEW_PHOTOGRAPHS} it gains on photographs left out, above it costs",
+            reason=f"below {FEW_PHOTOGRAPHS} photographs this gains on photographs left out; above, it costs",
         ),
         Regime(
             row="some-photographs",
             evidence="one per 44 with 40 photographs +0.56, −0.09, +0.07 dB; one per 51 to 72 with all +0.24, −0.06, +0.08",
             limits={"photographs": _below(2 * FEW_PHOTOGRAPHS)},
             values={"leaves_out": 0},
-            reason=f"below {FEW_PHOTOGRAPHS} it gains on photographs left out, above it costs",
+            reason=f"below {FEW_PHOTOGRAPHS} photographs this gains on photographs left out; above, it costs",
         ),
         Regime(
             row="many-photographs",
             evidence="one per 60 has 24.80 dB, one per 80 24.95 (town)",
             values={"leaves_out": 0, "pixels_per_splat": 80},
-            reason=f"below {FEW_PHOTOGRAPHS} it gains on photographs left out, above it costs",
+            reason=f"below {FEW_PHOTOGRAPHS} photographs this gains on photographs left out; above, it costs",
         ),
     ),
     DEVICES: (
@@ -126,7 +126,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             evidence=("4 to 7 on each of four devices: 0.2 to 1.9 dB behind one in six of seven cells; 12 to 16: 0.3 to 0.9 dB ahead"),
             limits={"photographs_each": _below(PHOTOGRAPHS_OF_A_DEVICE)},
             values={"photographs_each": FEW_PHOTOGRAPHS},
-            reason=f"below {PHOTOGRAPHS_OF_A_DEVICE} photographs each fewer devices are better",
+            reason=f"with fewer than {PHOTOGRAPHS_OF_A_DEVICE} photographs each, fewer devices are better",
         ),
     ),
     MACHINE: (
@@ -134,8 +134,8 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             row="one-machine",
             page="aggregation",
             evidence="28.21 dB, as four devices 27.86 (town, 384 px, 1,500 steps)",
-            reason="one model of all photographs is 0.2 to 1.6 dB better than four joined ones with as many views, and 0.2 to 0.3 with a "
-            "quarter of them: only memory divides them, or --devices N",
+            reason="one model of all photographs is 0.2 to 1.6 dB better than four joined ones trained on as many views, and 0.2 to 0.3 "
+            "dB with a quarter of the views: photographs are divided only for lack of memory or by --devices N",
         ),
     ),
     JOINING: (
@@ -154,14 +154,14 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             ),
             limits={"devices": _below(FEW_DEVICES + 1)},
             values={"edge_epochs": 1, "cloud_epochs": 0},
-            reason=f"after short trainings of up to {FEW_DEVICES} devices refining does the rest as well, and sooner",
+            reason=f"after short trainings of up to {FEW_DEVICES} devices, refining gains the same in less time",
         ),
         Regime(
             row="joined-after-short",
             page="aggregation",
             evidence="16 devices: 27.88 dB, without an epoch at the cloud 27.26",
             values={"edge_epochs": 2, "cloud_epochs": 2},
-            reason="after short trainings refining does the rest as well, and sooner; of many devices not without any epoch at the cloud",
+            reason="after short trainings refining gains the same in less time; with many devices, one epoch at the cloud is still needed",
         ),
     ),
     REFINING: (
@@ -171,7 +171,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             evidence="400 photographs: 27.60 dB after three rounds, 27.88 after five",
             limits={"shows": _below(HARDLY_SHOWN)},
             values={"rounds": 5, "epochs": 8},
-            reason=f"below {HARDLY_SHOWN} times a fourth and a fifth round still gained",
+            reason=f"below {HARDLY_SHOWN} views per photograph, a fourth and a fifth round still gained",
         ),
         Regime(
             row="short-of-few-devices",
@@ -179,7 +179,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             evidence="a third round is worth 0.2, 0.15 and 0.05 dB for a third of the time (town, caliterra, lewis)",
             limits={"shows": _below(SHORT_SHOWS), "devices": _below(FEW_DEVICES + 1)},
             values={"rounds": 2, "epochs": 8},
-            reason=f"after short trainings of up to {FEW_DEVICES} devices a third round gained 0 to 0.2 dB for a third of the time",
+            reason=f"after short trainings of up to {FEW_DEVICES} devices, a third round gained 0 to 0.2 dB for a third of the time",
         ),
         Regime(
             row="few-steps-of-few-devices",
@@ -187,7 +187,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             evidence="between 43 and 117 times nothing was measured; as its neighbours above and below",
             limits={"steps": _below(SHORT_STEPS), "shows": _below(OFTEN_SHOWN), "devices": _below(FEW_DEVICES + 1)},
             values={"rounds": 2, "epochs": 8},
-            reason=f"after short trainings of up to {FEW_DEVICES} devices a third round gained 0 to 0.2 dB for a third of the time",
+            reason=f"after short trainings of up to {FEW_DEVICES} devices, a third round gained 0 to 0.2 dB for a third of the time",
         ),
         Regime(
             row="few-photographs-of-few-devices",
@@ -195,8 +195,8 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             evidence="five epochs in place of eight: −0.01 dB in the mean of four sets, in 0.7 to 0.8 of the time",
             limits={"steps": _below(SHORT_STEPS), "devices": _below(FEW_DEVICES + 1)},
             values={"rounds": 2, "epochs": 5},
-            reason=f"after short trainings of up to {FEW_DEVICES} devices that show each photograph {OFTEN_SHOWN} times a third round, and "
-            "more epochs of each, gained nothing",
+            reason=f"after short trainings of up to {FEW_DEVICES} devices that show each photograph {OFTEN_SHOWN} times, a third round "
+            "and more epochs per round gained nothing",
         ),
         Regime(
             row="half-shown",
@@ -204,14 +204,14 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             evidence="62 times: 25.63, 25.78, 25.86 dB after one, two and three rounds",
             limits={"shows": _below(ENOUGH_SHOWS)},
             values={"rounds": 3, "epochs": 8},
-            reason=f"below {ENOUGH_SHOWS} times a second and a third round gained 0.1 to 0.2 dB each",
+            reason=f"below {ENOUGH_SHOWS} views per photograph, a second and a third round gained 0.1 to 0.2 dB each",
         ),
         Regime(
             row="shown-enough",
             page="aggregation",
             evidence="92 to 130 times: the second and third round gain −0.03 to +0.13 dB",
             values={"rounds": 1, "epochs": 8},
-            reason=f"from {ENOUGH_SHOWS} times on a second and a third round gained −0.1 to +0.1 dB",
+            reason=f"from {ENOUGH_SHOWS} views per photograph on, a second and a third round gained −0.1 to +0.1 dB",
         ),
     ),
     LIGHT: (
@@ -246,7 +246,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             evidence="turntable: 68 and 72 % contradicted, −2.73 and −0.82 dB; twelve others: 0 to 51 %, −0.9 to +0.9 dB",
             limits={"contradicted": _from(CONTRADICTED_SHARE)},
             values={"tried": 0, "on": 0},
-            reason=f"from {100 * CONTRADICTED_SHARE:.0f} % on most of them lie where nothing is, as around an object on a table",
+            reason=f"from {100 * CONTRADICTED_SHARE:.0f} % on, most of these points lie in empty space, as around an object on a table",
         ),
         Regime(
             row="filled-over-ground",
@@ -259,7 +259,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             row="filled-around",
             evidence="12 to 18 %: +0.47 (orbit), −0.37 (street), −0.82 dB (turntable)",
             values={"tried": 1, "on": 1},
-            reason="around an object or along a street they gain half a decibel or lose it",
+            reason="around an object or along a street they gain or lose half a decibel",
         ),
     ),
     SKY: (
@@ -269,35 +269,35 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
             evidence="0 % in surveys and before façades, where none would be seen; between 0 and 3 % nothing was measured",
             limits={"share": _below(SKY_SHARE)},
             values={"built": 0},
-            reason=f"a sky is modelled from {100 * SKY_SHARE:.0f} % of one image on",
+            reason=f"a sky is modelled if it covers {100 * SKY_SHARE:.0f} % or more of an image",
         ),
         Regime(
             row="sky-seen",
             page="regimes",
             evidence="turntable +3.40 dB, room +1.57 (30 photographs, 160 px)",
             values={"built": 1},
-            reason=f"a sky is modelled from {100 * SKY_SHARE:.0f} % of one image on",
+            reason=f"a sky is modelled if it covers {100 * SKY_SHARE:.0f} % or more of an image",
         ),
     ),
     REPEATS: (
         Regime(
             row="repeated",
             evidence="14 copies left out: 28.52 dB in 54 s for 28.44 in 62 (town)",
-            reason="a second copy takes steps and shows nothing new",
+            reason="a copy costs steps and shows nothing new",
         ),
     ),
     BLUR: (
         Regime(
             row="blurred",
             evidence="9 px of motion: 27.62 dB for 27.35, 21.95 for 21.40, 32.29 for 31.41 (town, lewis, caliterra)",
-            reason=f"below {100 * SHARPNESS:.0f} % a photograph teaches its blur; the only one that shows a place is kept",
+            reason=f"below {100 * SHARPNESS:.0f} % a photograph blurs the model; the only one that shows a place is kept",
         ),
     ),
     LENGTH: (
         Regime(
             row="steps-enough",
             evidence="120 to 240 steps per photograph: caliterra and lewis −0.3 dB",
-            reason="more of them gained nothing on photographs left out",
+            reason="more steps gained nothing on photographs left out",
         ),
     ),
     THINNING: (
@@ -320,7 +320,9 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
     ),
     EXTENT: (
         Regime(
-            row="long-flight", evidence="1,600 photographs of a long flight: 21.68 dB for 20.99", reason="a longer flight sees no coarser"
+            row="long-flight",
+            evidence="1,600 photographs of a long flight: 21.68 dB for 20.99",
+            reason="a longer flight sees the same detail",
         ),
     ),
     SHAPES: (
@@ -330,7 +332,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
                 "needles held at 10 times: +0.13, +0.26, −0.09 dB (town, lewis, caliterra); thinner ones than a pixel at 10 "
                 "pixels: +0.35, +0.26 (90 of a façade, a turntable); sizes cost 0.34 on the turntable"
             ),
-            reason="a shape shows in views it was not fitted to",
+            reason="needles and huge Gaussians show in views they were not fitted to",
         ),
     ),
 }

@@ -272,8 +272,9 @@ class TrainOptions:
     """
 
     preset: Annotated[Preset, Option(name="--train-preset", group=FIRST)] = "default"
-    """draft: quick; standard: 3DGS, its schedule scaled to the steps and, on a CPU, with 200,000
-    Gaussians at most; paper: its 20,000 steps."""
+    """draft: default with fewer, smaller steps; default: high rates, one light for all photographs,
+    Gaussians that grow evenly up to the limit; standard: 3DGS, its schedule scaled to the steps;
+    paper: its 20,000 steps. All but paper are reduced on a CPU."""
     long_side_px: Annotated[int | None, Option(min=16)] = None
     """Long side of the training images."""
     num_steps: Annotated[int | None, Option(name="--steps", min=1)] = None

@@ -7,6 +7,8 @@ forks of one that has imported their libraries (`fork_server.py`).
 A gang starts where all its members fit in, or where nothing else runs: by itself it may exceed
 `num_workers`, since its processes mostly wait for each other. Its processes divide the cores among
 its devices and what may run beside them.
+
+Of several CUDA devices each process sees one, that which the fewest others use.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from functools import partial
 from pathlib import Path
 
 from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
+from radiant_app.executors.cards import VISIBLE, choose_card, needs_card, visible_cards
 from radiant_app.executors.fold import Fold, NodeEnded, RetryPolicy
 from radiant_app.executors.fork_server import ForkedProcess, ForkServer, open_server, start_server
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
@@ -129,6 +132,8 @@ class _Running:
     task: NodeTask
     process: Process
     reader: threading.Thread
+    card: str | None
+    """CUDA device that it sees, of several."""
     failure: Failed | None = None
 
 
@@ -160,10 +165,11 @@ class Processes:
     def start(self, node: Tree, task: NodeTask) -> bool:
         # It may still be importing, which an interrupt need not wait for.
         server = self.server()
+        card = choose_card(visible_cards(os.environ), [one.card for one in self.running.values()]) if needs_card(task) else None
         with defer_interrupts():
-            process = self._spawn(node, task, server)
+            process = self._spawn(node, task, server, card)
             reader = threading.Thread(target=self._read_lines, args=(node.id, process), daemon=True)
-            self.running[node.id] = _Running(task=task, process=process, reader=reader)
+            self.running[node.id] = _Running(task=task, process=process, reader=reader, card=card)
             reader.start()
         return True
 
@@ -199,9 +205,10 @@ class Processes:
                     running.process.wait()
                 running.reader.join()
 
-    def _spawn(self, node: Tree, task: NodeTask, server: ForkServer | None) -> Process:
+    def _spawn(self, node: Tree, task: NodeTask, server: ForkServer | None, card: str | None) -> Process:
         threads = self.gang_threads.get(node.gang, self.num_threads)
-        command, environment = self.command(task), worker_environment(threads, self.edges_at_once)
+        command = self.command(task)
+        environment = worker_environment(threads, self.edges_at_once) | ({} if card is None else {VISIBLE: card})
         with log_path(task.folder).open("w") as log:
             if server is not None and command[:2] == [sys.executable, "-m"]:
                 # It may have been killed.

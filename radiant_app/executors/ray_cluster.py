@@ -33,6 +33,7 @@ from pathlib import Path
 from typing import Any
 
 from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
+from radiant_app.executors.cards import needs_card
 from radiant_app.executors.fold import Fold, NodeEnded, NodeStarted, RetryPolicy
 from radiant_app.executors.local import outcome_of, worker_command
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
@@ -40,7 +41,6 @@ from radiant_app.interrupts import defer_interrupts
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.extras import require_extra
-from radiant_core.hierarchy.codec import task_setting
 from radiant_core.io.run_store import SEAL_NAME, file_sha256
 
 SEEN_S = 20.0
@@ -93,10 +93,6 @@ def resource_of(node: Tree) -> str:
     if parts[0] == "cloud" or len(parts) < 2:
         return parts[0]
     return f"{parts[0].removesuffix('s')}:{parts[1]}"
-
-
-def _needs_gpu(task: NodeTask) -> bool:
-    return task_setting(task.folder, "backend") == "gsplat"
 
 
 @dataclass(kw_only=True)
@@ -157,7 +153,7 @@ class _Cluster:
 
         def record(node: Tree, task: NodeTask) -> dict[str, Any]:
             near = next((below.id for below in node if below.id in computing), computing[0])
-            return {"node": node.id, "place": resource_of(node), "gpu": _needs_gpu(task), "computes": node.id in computing, "near": near}
+            return {"node": node.id, "place": resource_of(node), "gpu": needs_card(task), "computes": node.id in computing, "near": near}
 
         self._send(open=gang, members=[record(node, task) for node, task in members])
 
@@ -176,7 +172,7 @@ class _Cluster:
             folder=str(task.folder.resolve()),
             task_sha256=file_sha256(record) if record.is_file() else None,
             place=resource_of(node),
-            gpu=_needs_gpu(task),
+            gpu=needs_card(task),
             gang=node.gang,
         )
         return False

@@ -38,7 +38,7 @@ from ray.exceptions import RayError
 
 from radiant_app.events import Failed, encode
 from radiant_app.executors.local import worker_environment
-from radiant_app.executors.ray_places import PLACE_SHARE, Gang, find_machines, living_machines, num_at, num_threads, offers
+from radiant_app.executors.ray_places import PLACE_SHARE, Gang, find_machines, have_gpus, living_machines, num_at, num_threads, offers
 from radiant_core.errors import RadiantError, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, file_sha256
 
@@ -119,7 +119,8 @@ class _Driver:
             return
         node, threads = message["start"], num_threads(fit, self.leaves)
         pinned = message["place"] in fit[0]["Resources"]
-        message |= {"cpus": threads, "gpus": int(message["gpu"]), "resources": {message["place"]: PLACE_SHARE} if pinned else {}}
+        num_gpus = int(message["gpu"] and bool(have_gpus(fit)))
+        message |= {"cpus": threads, "gpus": num_gpus, "resources": {message["place"]: PLACE_SHARE} if pinned else {}}
         gang, options = self.gangs.get(message["gang"]), dict[str, Any]()
         if gang is not None:
             amounts, options = gang.place(node)

@@ -35,9 +35,18 @@ def living_machines() -> list[dict[str, Any]]:
 
 
 def find_machines(place: str, gpu: bool) -> list[dict[str, Any]]:
-    """Living machines that can run a node: those named as its place, or all where none is."""
-    able = [machine for machine in living_machines() if offers(machine, {"CPU": 1, "GPU": int(gpu)})]
-    return [machine for machine in able if offers(machine, {place: PLACE_SHARE})] or able
+    """Living machines that can run a node: those named as its place, or all where none is. With
+    `gpu` those with one; a machine named for the node runs it without, too."""
+    able = [machine for machine in living_machines() if offers(machine, {"CPU": 1})]
+    named = [machine for machine in able if offers(machine, {place: PLACE_SHARE})]
+    if not gpu:
+        return named or able
+    return have_gpus(named) or named or have_gpus(able)
+
+
+def have_gpus(machines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Those machines that have a GPU."""
+    return [machine for machine in machines if offers(machine, {"GPU": 1})]
 
 
 def offers(machine: dict[str, Any], wanted: Mapping[str, float]) -> bool:
@@ -120,7 +129,7 @@ def _bundle_of(member: Mapping[str, Any], places: Sequence[str], leaves: Sequenc
         bundle[member["place"]] = PLACE_SHARE
     if fit and member["computes"]:
         bundle["CPU"] = min(num_threads(fit, leaves), _even_part("CPU", fit, places))
-        if member["gpu"]:
+        if member["gpu"] and have_gpus(fit):
             bundle["GPU"] = min(1.0, _even_part("GPU", fit, places))
     return bundle
 

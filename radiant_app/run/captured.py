@@ -172,7 +172,7 @@ def weigh_claims(owners: Sequence[str], progress: Progress) -> Any:
     for device, device_rows in rows.items():
         if len(device_rows) > most:
             claim = f"device {device} has {len(device_rows):,} photographs, more than {MOST_TIMES} times as many as most devices"
-            progress.listen(Warned(stage="plan", message=f"{claim}: steps are shared as if they were {most:,}."))
+            progress.listen(Warned(stage="plan", message=f"{claim}: steps are shared as if there were {most:,}."))
             rows[device] = device_rows[np.linspace(0, len(device_rows) - 1, most).round().astype(np.int64)]
     return np.sort(np.concatenate([*rows.values(), np.zeros(0, np.int64)]))
 
@@ -266,7 +266,7 @@ def _leave_out_other_sites(names: Sequence[str], positions: FloatArray, progress
     if len(far):
         distant = f"{len(far)} of {len(names)} photographs lie more than {MAX_REACH_M / 1e3:.0f} km from the middle of all"
         first = f"{names[far[0]]} first with {away_m[far[0]] / 1e3:,.0f} km"
-        progress.listen(Warned(stage="plan", message=f"{distant}, {first}, and are left out: give another site a run of its own."))
+        progress.listen(Warned(stage="plan", message=f"{distant}, {first}, and are left out: run another site by itself."))
         positions[far] = np.nan
 
 

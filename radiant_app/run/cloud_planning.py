@@ -50,5 +50,5 @@ def raster_decision(cell_m: float, plan: CloudPlan) -> Decision:
         choice=f"a count raster of {cell_m:g} m and one curve per edge",
         figure=100 * (ratio - 1),
         unit="% above the shortest makespan",
-        reason="the cloud receives no position, device or number of devices; with positions the plan would be exact",
+        reason="the cloud gets no position, device or number of devices; with positions the plan would be exact",
     )

@@ -9,7 +9,7 @@ device that cannot deliver is reported missing, and the run goes on.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Warned
+from radiant_app.events import Decided, Warned
 from radiant_app.executors.protocol import Executor
 from radiant_app.files.run_folder import PLANNING_FOLDER
 from radiant_app.report.prediction_error import save_system
@@ -58,6 +58,8 @@ def _read_poses(config: RunConfig, folders: dict[str, Path] | None, progress: Pr
     poses = read_given_poses(config.source, config.sfm.poses, "together" if folders is None else "by device")
     for message in poses.notes:
         progress.listen(Warned(stage="plan", message=message))
+    if poses.check is not None:
+        progress.listen(Decided(decision=replace(poses.check, stage="plan")))
     save_given_frame(config.out, poses.frame)
     return poses
 
@@ -145,7 +147,7 @@ class DevicePhotographs:
             message = (
                 f"{is_elsewhere.sum()} of {len(is_elsewhere)} photographs of device {device} lie where the plan has devices of another edge"
             )
-            progress.listen(Warned(stage="plan", message=f"{message}: were folders exchanged? What it shows there may be cut away."))
+            progress.listen(Warned(stage="plan", message=f"{message}: were folders mixed up? What it shows there may be cut away."))
         return plan
 
     def _warn_of_idle(self, system: System, owners: set[str], progress: Progress) -> None:
@@ -153,7 +155,7 @@ class DevicePhotographs:
         if file is not None and (message := deal_uncaptured(self.config.out, load_plan_before_capture(file), system, owners)) is not None:
             progress.listen(Warned(stage="plan", message=message))
         for device in (device.id for device in system.devices if device.id not in (self.folders or ())):
-            progress.listen(Warned(stage="plan", message=f"device {device} has no folder of photographs, it takes no part."))
+            progress.listen(Warned(stage="plan", message=f"device {device} has no folder of photographs and takes no part."))
 
     def use_recipe(self, recipe: Recipe) -> None:
         """Deal by the plan of this recipe from now on."""

@@ -230,7 +230,7 @@ def with_camera_limits(
         choice=f"{len(limited)} devices hold {limit_of[least.id]:,} photographs or more, {least.id} the fewest",
         figure=least.memory_bytes / 1e9,
         unit=f"GB at {least.id}",
-        reason="photographs, Gaussians, one step and the libraries must fit; max_cameras in the system file says it by count",
+        reason="photographs, Gaussians, one step and the libraries must fit; max_cameras in the system file sets the count itself",
     )
     return limit_to(limit_of), decision, warnings
 

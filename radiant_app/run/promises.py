@@ -30,7 +30,7 @@ def promises_of(config: RunConfig, *, pooled: bool) -> list[dict[str, Any]]:
     opens = Promise(
         promise="No stage of an edge or of the cloud opens a photograph of a device.",
         holds=True,
-        reason="a node's process is given its own folder alone; edges and the cloud are dealt models and cameras"
+        reason="a node's process gets its own folder only; edges and the cloud get models and cameras"
         + (", and through Ray go commands, events and hashes, no file" if in_cluster else ""),
     )
     own_work = Promise(
@@ -42,7 +42,7 @@ def promises_of(config: RunConfig, *, pooled: bool) -> list[dict[str, Any]]:
     whole = Promise(
         promise="What is used is what was written: every file of a finished node has the hash in its seal.",
         holds=True,
-        reason="seals are checked by the process that folds the tree, whatever ran the node",
+        reason="the process that folds the tree checks all seals, wherever a node ran",
     )
     return [asdict(promise) for promise in (opens, own_work, cloud, whole)]
 

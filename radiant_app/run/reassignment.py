@@ -99,5 +99,5 @@ def _decision(lost: str, count: int, takers: Sequence[str]) -> Decision:
         choice=f"{count} photographs of {lost} go to {', '.join(takers)}",
         figure=float(count),
         unit="photographs",
-        reason="these devices had not begun; the least makespan, then the fewest moves",
+        reason="these devices had not begun; chosen for the earliest end, then for the fewest moves",
     )

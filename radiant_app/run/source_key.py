@@ -54,7 +54,7 @@ def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener)
     if (folder / SEAL_NAME).is_file():
         reason = OLDER if recorded is None else _change(recorded, files)
         if reason is not None:
-            listen(Warned(stage="sfm", message=f"{reason}: structure from motion and what is made from it are done again."))
+            listen(Warned(stage="sfm", message=f"{reason}: structure from motion and everything after it run again."))
     if files != recorded:
         write_json(folder / RECORD_NAME, files)
     return key

@@ -268,7 +268,7 @@ def scale_for_uploads(system: System, upload: UploadFormat, progress: Progress) 
         choice=f"{upload}: models count {factor:.2f} times their bytes",
         figure=100 * factor,
         unit="% of the bytes of float32",
-        reason="the plan counts float32 models, and uploads are smaller",
+        reason="the plan assumes float32 models, and uploads are smaller",
     )
     progress.listen(Decided(decision=decision))
     return system.with_uploads_of(factor)
@@ -295,5 +295,5 @@ def _retrain_decision() -> Decision:
         choice=f"at most {REFERENCE_RETRAIN_STEPS} steps",
         figure=float(REFERENCE_RETRAIN_STEPS),
         unit="steps",
-        reason="all epochs would take most of the run on the plain PyTorch backend",
+        reason="with the plain PyTorch backend all epochs would take most of the run",
     )

@@ -152,7 +152,7 @@ class Children:
         self.links.send_all({name: END})
         self.present.discard(name)
         self.left_out[name] = reason
-        self.warn(f"steps go on without {name}: what it begins with is refused: {reason}")
+        self.warn(f"steps go on without {name}: its start is refused: {reason}")
 
     def gradients(self, answer: Answer) -> dict[str, bytes]:
         """What all children send for a step; one that comes back is answered first."""
@@ -249,7 +249,7 @@ class Children:
         self.present.discard(name)
         if name not in self._lost_s and name not in self.left_out:
             self._lost_s[name] = self.clock()
-            self.warn(f"the link to {name} is lost ({reason}); it is waited for up to {self.gone_s:.0f} s.")
+            self.warn(f"the link to {name} is lost ({reason}); the group waits for it up to {self.gone_s:.0f} s.")
 
     def _leave_out(self, names: Sequence[str], begun_s: float, *, patient: bool = False) -> None:
         """Leave out who is gone, or was waited for long enough; at the start the first to come is
@@ -259,7 +259,7 @@ class Children:
             waited_s = self.clock() - max(begun_s, self._lost_s.get(name, begun_s))
             if gone or (not patient and waited_s > self.gone_s):
                 self.left_out[name] = "it has ended" if gone else f"it did not come back within {self.gone_s:.0f} s"
-                self.warn(f"steps go on without {name}: {self.left_out[name]}. Its photographs are missing in what is trained from now on.")
+                self.warn(f"steps go on without {name}: {self.left_out[name]}. From now on its photographs are missing.")
 
     def _is_gone(self, name: str) -> bool:
         return (self.meeting / f"{name}.gone").is_file()

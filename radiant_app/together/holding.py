@@ -93,7 +93,7 @@ class _Member:
                     time.sleep(1.0)
                 if "no parent took" in lost.reason:
                     raise StageFailed(f"{self._seat.parent} does not answer: {lost.reason}.") from lost
-                self._reporter.warn(f"the link to {self._seat.parent} is lost ({lost.reason}); it asks for another one.")
+                self._reporter.warn(f"the link to {self._seat.parent} is lost ({lost.reason}); it opens another one.")
                 lost_s = now_s
             else:
                 link.close()
@@ -133,7 +133,7 @@ class _Member:
             last_total = None
         _expect(link, END)
         if failed := holder.replica.failed_views:
-            self._reporter.warn(f"{len(failed)} views or steps of this device could not be counted, the first: {failed[0]}")
+            self._reporter.warn(f"{len(failed)} views or steps of this device failed, the first: {failed[0]}")
         save_begin(self._final, replace(begin, state=holder.replica.state()))
         write_json(self._record, {"key": self._key})
         self._say_done()

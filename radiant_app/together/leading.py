@@ -185,7 +185,7 @@ class _Leader:
             if start is None or problem is not None:
                 self.refused[device] = problem or ""
                 self._public_keys.pop(device, None)
-                self._reporter.warn(f"what {device} begins with is refused: {problem}")
+                self._reporter.warn(f"the start of {device} is refused: {problem}")
             else:
                 usable[device] = start
                 self.refused.pop(device, None)

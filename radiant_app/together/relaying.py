@@ -108,9 +108,7 @@ class _Relaying:
             except LinkLost as lost:
                 if "no parent took" in lost.reason:
                     raise StageFailed(f"{self._plan.root} does not answer: {lost.reason}.") from lost
-                self._reporter.warn(
-                    f"the link to {self._plan.root} is lost ({lost.reason}); it asks for another one; its devices begin anew."
-                )
+                self._reporter.warn(f"the link to {self._plan.root} is lost ({lost.reason}); it opens another one; its devices begin anew.")
                 for name in list(self._links.linked):
                     self._links.drop(name, f"the link to {self._plan.root} was lost")
                 self._children = self._new_children(self._children.num_late)

@@ -80,7 +80,7 @@ def run_positions(folder: Path, task: PositionsTask, reporter: EventReporter) ->
     low = [name for name, place in lat_lon_alt_of.items() if place is not None and np.isnan(place[2])]
     if low:
         counted = f"{len(low)} of {len(lat_lon_alt_of)} photographs have GPS without altitude, and a device's frame needs one"
-        reporter.warn(f"{counted}: they count as without a position.")
+        reporter.warn(f"{counted}: they are treated as having no position.")
     lat_lon_alt_of = {name: None if name in low else place for name, place in lat_lon_alt_of.items() if name not in copies}
     if task.cell_m is None:
         write_json(folder / "positions.json", {"photographs": lat_lon_alt_of})
@@ -132,7 +132,7 @@ def _reuse_model(folder: Path, made_from: dict[str, str], reporter: EventReporte
         return None
     before, sealed = read_json(folder / MADE_FROM, ("key", "photographs")), read_json(folder / SEAL_NAME, ("key", "files"))
     if before["photographs"] != made_from["photographs"]:
-        reporter.warn("its photographs changed since its model was made: it is made again.")
+        reporter.warn("its photographs have changed since its model was made: the model is made again.")
     if before != made_from or not is_sealed(folder, sealed["key"]):
         return None
     for event in read_notes(folder, reporter.stage):

@@ -36,6 +36,7 @@ from radiant_app.events import Decided, Event, Warned
 from radiant_app.reporting import Emit, EventReporter
 from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.redaction import make_redactor
+from radiant_app.workers.renderer import with_renderer_here
 from radiant_app.workers.tasks import TASKS, SfmTask, receive_task
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints, save_signed_model, train_from_folder
 from radiant_core.errors import BadInput
@@ -74,7 +75,9 @@ def run_node(kind: str, folder: Path, stage: str, emit: Emit, work: Work | None 
             notes["warnings"].append(event.message)
         emit(event)
 
-    outputs = (work or _import_work(kind))(folder, receive_task(kind, folder), EventReporter(stage=stage, emit=emit_and_note))
+    reporter = EventReporter(stage=stage, emit=emit_and_note)
+    task = with_renderer_here(receive_task(kind, folder), reporter)
+    outputs = (work or _import_work(kind))(folder, task, reporter)
     write_json(folder / "notes.json", notes)
     return [*outputs, "notes.json"]
 

@@ -11,7 +11,7 @@ photographs are stands in own_source.json of the device's folder, which its owne
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +104,8 @@ def run_own_field(folder: Path, task: OwnFieldTask, reporter: EventReporter) -> 
     if photographs.poses is not None:
         for message in photographs.poses.unnamed_notes:
             reporter.warn(message)
+        if photographs.poses.check is not None:
+            reporter.decide(replace(photographs.poses.check, stage=reporter.stage))
         (folder / OWN_POSES).parent.mkdir(exist_ok=True)
         photographs.poses.deal([*names, *held_out], (folder / OWN_POSES).parent)
     placing = PlacingTask(

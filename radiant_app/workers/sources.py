@@ -172,6 +172,11 @@ class PreparedPhotographs:
 def prepare_photographs(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> PreparedPhotographs:
     """What is made of the source in `folder` before structure from motion, and where it lies."""
     kind, images, model = detect_source(Path(task.source), poses_of(task))
+    if kind == "colmap":
+        from radiant_core.io.poses.colmap_panoramas import has_panoramas
+
+        assert model is not None
+        kind = "alignment" if has_panoramas(model) else kind
     if kind != "film":
         return PreparedPhotographs(kind=kind, images=images, model=model)
     if task.refine_poses:

@@ -8,7 +8,9 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import laspy
 import numpy as np
+import open3d as o3d
 import pytest
 from pyproj import Transformer
 from typer.testing import CliRunner, Result
@@ -48,6 +50,23 @@ def test_a_model_is_where_proj_puts_it(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {
         f"{n}.{e}" for n, m in (("a", "ply"), ("b", "sog")) for e in (m, "georef.json", "prj")
     }
+
+
+def test_points_of_surfaces_are_where_proj_puts_them_to_a_millimetre(tmp_path: Path) -> None:
+    coarse = ("--resolution", "0.5", "--long-side-px", "96")
+    for name, more in (("metres", ()), ("map", ("--crs", "EPSG:2056"))):
+        export(tmp_path / f"{name}.ply", "--format", "mesh", *coarse, *more)
+    metres, on_map = (np.asarray(o3d.io.read_triangle_mesh(str(tmp_path / f"{name}.ply")).vertices) for name in ("metres", "map"))
+    offset = json.loads((tmp_path / "map.georef.json").read_text())["offset"]
+    assert len(metres) > 100 and np.abs(on_map + offset - swiss(metres)).max() < 1e-3
+    for name, crs in (("utm", "EPSG:32632"), ("swiss", "EPSG:2056")):
+        export(tmp_path / f"{name}.laz", *coarse, "--crs", crs)
+    utm, in_swiss = (laspy.read(tmp_path / f"{name}.laz").xyz for name in ("utm", "swiss"))
+    lon, lat = Transformer.from_crs("EPSG:32632", "EPSG:4326", always_xy=True).transform(*utm[:, :2].T)
+    expected = np.column_stack(Transformer.from_crs("EPSG:4979", "EPSG:2056", always_xy=True).transform(lon, lat, utm[:, 2]))
+    assert len(utm) == len(in_swiss) > 100
+    # Either file is rounded to a millimetre, so half of one each.
+    assert np.abs(in_swiss - expected)[:, :2].max() < 1.001e-3
 
 
 def test_levels_and_tiles_say_where_on_the_globe_their_metres_lie(tmp_path: Path) -> None:

@@ -150,7 +150,7 @@ def test_a_device_says_that_its_photographs_changed_before_it_begins_again(finis
     events: list[Event] = []
     moved = replace(task, placing=replace(task.placing, source=str(tmp_path / "photos")))
     run_field(device, moved, reporter("devices/north-1", events.append))
-    assert isinstance(events[0], Warned) and "its photographs changed" in events[0].message and name not in events[0].message
+    assert isinstance(events[0], Warned) and "its photographs have changed" in events[0].message and name not in events[0].message
 
 
 def test_weights_for_lpips_make_every_device_score_again_and_nothing_else(finished: tuple[RunConfig, RunResult], tmp_path: Path) -> None:

@@ -140,4 +140,4 @@ def test_joining_again_names_an_edge_whose_models_are_lost(trained: Path, tmp_pa
     shutil.rmtree(folder / "edges" / lost / "inbox")
     said = Console(record=True, width=300, file=StringIO())
     aggregate(folder, tmp_path / "joined.ply", "default", None, ProgressDisplay(said))
-    assert f"edges/{lost}: it received no model, so that its region is left out" in said.export_text()
+    assert f"edges/{lost}: it received no model, so its region is left out" in said.export_text()

@@ -371,7 +371,7 @@ def test_no_claim_takes_the_training_of_the_others(claimed: int) -> None:
     law = StepLaw(num_steps=1000, mean_photographs=len(weighed) / 2)
     assert law.steps(6) == round(1000 * 2 / (1 + MOST_TIMES))
     assert warnings(heard) == [
-        f"device liar has {claimed:,} photographs, more than 4 times as many as most devices: steps are shared as if they were 24."
+        f"device liar has {claimed:,} photographs, more than 4 times as many as most devices: steps are shared as if there were 24."
     ]
 
 

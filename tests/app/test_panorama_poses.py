@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -81,7 +83,58 @@ def transforms(folder: Path, made: Walk) -> Path:
     return folder / "transforms.json"
 
 
-def made_scene(walked: tuple[Path, Walk], work: Path, path: Path) -> SfmResult:
+def opf(folder: Path, made: Walk) -> Path:
+    """As the specification has it: a spherical sensor, ω φ κ of OpenGL's axes, a frame that is scaled and shifted."""
+    scale, shift = 0.5, np.array([300.0, -40.0, 7.0])
+    cameras = []
+    for number, center in enumerate(made.centers):
+        G = made.axes[number].T * (1, -1, -1)
+        angles = np.degrees([np.arctan2(-G[1, 2], G[2, 2]), np.arcsin(G[0, 2]), np.arctan2(-G[0, 1], G[0, 0])])
+        cameras.append({"id": number, "sensor_id": 7, "orientation_deg": angles.tolist(), "position": (center * scale + shift).tolist()})
+    internals = {"type": "spherical", "principal_point_px": [made.width / 2, made.width / 4]}
+    sensor = {"id": 7, "name": "theta", "image_size_px": [made.width, made.width // 2]}
+    parts = {
+        "calibrated-cameras": {"sensors": [{"id": 7, "internals": internals}], "cameras": cameras},
+        "camera-list": {"cameras": [{"id": number, "uri": f"images/{name}"} for number, name in enumerate(made.names)]},
+        "input-cameras": {"sensors": [sensor], "captures": []},
+        "scene-reference-frame": {
+            "crs": {"definition": "Arbitrary (m)"},
+            "base_to_canonical": {"shift": shift.tolist(), "scale": [scale] * 3, "swap_xy": False},
+        },
+    }
+    for name, content in parts.items():
+        (folder / f"{name}.json").write_text(json.dumps({"format": f"application/opf-{name}+json", "version": "1.0", **content}))
+    resources = [[{"uri": f"{name}.json", "format": f"application/opf-{name}+json"}] for name in parts]
+    items = [{"id": name, "type": name, "sources": [], "resources": each} for name, each in zip(parts, resources, strict=True)]
+    path = folder / "project.opf"
+    path.write_text(json.dumps({"format": "application/opf-project+json", "version": "1.0", "items": items}))
+    return path
+
+
+def colmap(folder: Path, made: Walk, form: str) -> Path:
+    """By pycolmap: cameras EQUIRECTANGULAR, points with tracks."""
+    points, colors, seen = seen_points(made)
+    size = (made.width, made.width // 2)
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(model="EQUIRECTANGULAR", width=size[0], height=size[1], params=size, camera_id=1)
+    model.add_camera_with_trivial_rig(camera)
+    tracks: dict[int, pycolmap.Track] = {}
+    for number, name in enumerate(made.names):
+        R, shown = made.axes[number], sorted(seen[number])
+        image = pycolmap.Image(name=name, camera_id=1, image_id=number + 1)
+        image.points2D = pycolmap.Point2DList([pycolmap.Point2D(np.array(seen[number][row])) for row in shown])
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pycolmap.Rotation3d(R), -R @ made.centers[number]))
+        for index, row in enumerate(shown):
+            tracks.setdefault(row, pycolmap.Track()).add_element(number + 1, index)
+    for row, track in tracks.items():
+        model.add_point3D(points[row], track, np.clip(np.round(colors[row]), 0, 255).astype(np.uint8))
+    place = folder / "sparse" / "0"
+    place.mkdir(parents=True)
+    (model.write_text if form == "text" else model.write_binary)(place)
+    return place
+
+
+def made_scene(walked: tuple[Path, Walk], work: Path, path: Path | None) -> SfmResult:
     task = sfm_task(walked[0], SfmConfig(num_threads=1), None, Placement(), path)
     return reconstruct_source(task, work, lambda progress: None)
 
@@ -125,7 +178,22 @@ def test_observations_of_another_convention_are_refused(walked: tuple[Path, Walk
         each.unlink()
 
 
-@pytest.mark.parametrize("write", [metashape, transforms])
+@pytest.mark.parametrize("form", ["binary", "text"])
+def test_colmaps_panoramas_are_taken_with_their_points(walked: tuple[Path, Walk], tmp_path: Path, form: str) -> None:
+    folder, made = walked
+    place = colmap(folder, made, form)
+    assert detect_source(folder)[0] == "colmap"
+    result = made_scene(walked, tmp_path, None)
+    with pytest.raises(BadInput, match=r"EQUIRECTANGULAR, a panorama of 360°, which becomes flat photographs with --frames shared alone"):
+        read_given_poses(folder, place)
+    shutil.rmtree(folder / "sparse")
+    require_true(result, made)
+    (check,) = (decision for decision in result.decisions if decision.topic == "poses")
+    assert check.unit == "px" and check.figure is not None and check.figure < 0.01
+    assert result.warnings[0].startswith("sparse/0 of COLMAP gives the poses of 36 photographs")
+
+
+@pytest.mark.parametrize("write", [metashape, transforms, opf])
 def test_panoramas_without_points_are_checked_by_their_faces_and_triangulated(walked: tuple[Path, Walk], tmp_path: Path, write) -> None:
     folder, made = walked
     path = write(folder, made)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ import torch
 
 import radiant
 from radiant_app.events import Event, StageProgress
+from radiant_core.train.optimizer import SelectiveAdam
 
 SURFACE = Path(__file__).parent / "radiant_surface.json"
 
@@ -100,6 +103,53 @@ def test_a_model_is_trained_scored_written_and_loaded(
 def test_the_same_seed_trains_the_same_bits_as_the_command(scene: radiant.Scene, result: radiant.TrainResult) -> None:
     again = radiant.train(scene, num_steps=30, long_side_px=64, fill_in=True)
     assert np.array_equal(again.splats.means, result.splats.means)
+
+
+def charbonnier(render: torch.Tensor, photograph: torch.Tensor) -> torch.Tensor:
+    return ((render - photograph).square() + 1e-4).sqrt().mean()
+
+
+class Thinned(radiant.Part):
+    """Keeps every second Gaussian once, and notes what it is asked."""
+
+    name = "thinned"
+
+    def __init__(self) -> None:
+        self.steps: list[int] = []
+
+    def after_update(self, moment: radiant.Moment, splats: radiant.SplatTensors, optimizer: SelectiveAdam) -> radiant.SplatTensors:
+        self.steps.append(moment.step)
+        if moment.step != 10:
+            return splats
+        rows = torch.arange(0, len(splats), 2)
+        fewer = replace(splats, **{name: tensor.detach()[rows] for name, tensor in splats.tensors().items()})
+        optimizer.select_rows(fewer.tensors(), rows, torch.zeros(len(rows), dtype=torch.bool))
+        return fewer
+
+
+def test_a_loss_and_a_densification_of_ones_own_are_what_trains(scene: radiant.Scene) -> None:
+    losses: list[float] = []
+
+    def loss(render: torch.Tensor, photograph: torch.Tensor) -> torch.Tensor:
+        assert render.shape == photograph.shape == (48, 64, 3) and float(photograph.max()) <= 1
+        losses.append(float(charbonnier(render, photograph).detach()))
+        return charbonnier(render, photograph)
+
+    none: dict[str, Any] = {"density.kind": "none"}
+    config = replace(radiant.train_preset("draft"), start_scale=1.0, light="none")
+    plain = radiant.train(scene, config, num_steps=30, long_side_px=64, **none)
+    thinned = Thinned()
+    result = radiant.train(scene, config, num_steps=30, long_side_px=64, loss=loss, parts=[thinned], **none)
+    assert thinned.steps == list(range(1, 31)) and len(losses) == 30
+    assert abs(len(result.splats) - len(plain.splats) / 2) < 0.02 * len(plain.splats), "a few may show in no pixel and go in the end"
+    assert (result.first_loss, result.last_loss) == (np.mean(losses[:3]), np.mean(losses[-3:]))
+    assert np.mean(losses[20:]) < np.mean(losses[10:20]), "ten views, once each"
+    with pytest.raises(radiant.BadInput, match=r"parts\[0\] is a int, expected an object of a subclass of radiant\.Part\."):
+        radiant.train(scene, config, num_steps=1, parts=[3])  # pyright: ignore[reportArgumentType]
+    with pytest.raises(TypeError, match=r"a tensor of shape \(48, 64, 3\), expected a scalar tensor"):
+        radiant.train(scene, config, num_steps=1, long_side_px=64, loss=lambda render, photograph: render)
+    with pytest.raises(TypeError, match=r"a tensor of shape \(\) without a gradient"):
+        radiant.train(scene, config, num_steps=1, long_side_px=64, loss=lambda render, photograph: photograph.mean())
 
 
 def test_pictures_come_as_numpy_and_gradients_as_torch(scene: radiant.Scene, result: radiant.TrainResult) -> None:

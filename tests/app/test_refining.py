@@ -180,7 +180,7 @@ def test_a_second_round_is_for_trainings_that_left_something_to_fit(refining: Re
         (few, 2, False, "up to 4 devices"),
         (some, 3, False, "below 75"),
         (often, 1, False, "from 75"),
-        (asked, 2, True, "asked for; after such trainings it would be 1"),
+        (asked, 2, True, "asked for; the default after such trainings is 1"),
         (by_steps, 2, False, "up to 4 devices"),
     ):
         decision = plan_refining(each, refining.plan.devices, 1000).decisions[-1]

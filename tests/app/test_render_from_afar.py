@@ -31,5 +31,5 @@ def test_a_sky_before_the_scene_is_left_out_and_told_unless_all_is_asked_for(tmp
     (far, near), told = blue("seen", as_trained=False)
     (all_far, all_near), nothing = blue("all", as_trained=True)
     assert far < 0.02 < 0.9 < all_far and near == all_near
-    assert "what lies far before the scene is not drawn" in told
+    assert "Gaussians far in front of the scene are not drawn" in told
     assert "far before" not in nothing

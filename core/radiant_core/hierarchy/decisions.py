@@ -33,7 +33,7 @@ def step_decision(recipe: Recipe) -> Decision | None:
         choice=f"{min(steps):,} to {max(steps):,} steps, {sum(steps):,} in all",
         figure=law.per_photograph,
         unit="steps per photograph",
-        reason=f"a device's time is proportional to its photographs, as planned; {law.num_steps:,} steps is the mean of all devices",
+        reason=f"a device's time is proportional to its photographs, as planned; the mean of all devices is {law.num_steps:,} steps",
         changes_nothing=len(set(steps)) == 1,
     )
 

@@ -96,7 +96,7 @@ def _warn_of_thinned(prepared: PreparedTraining, reporter: Reporter) -> None:
     if isinstance(config.density, NoDensification) or not config.max_num_splats < min(num_points, law):
         return
     reporter.warn(
-        f"{num_points:,} sparse points are thinned out to the limit of {config.max_num_splats:,} Gaussians, of which hardly any can grow. "
+        f"{num_points:,} sparse points are thinned out to the limit of {config.max_num_splats:,} Gaussians, and hardly any can grow. "
         "On sixteen devices of 88 photographs twice the limit gained 1.2 dB (docs/experiments/paper_size.md). "
         "Raise --max-splats, or the memory where that sets the limit."
     )
@@ -218,7 +218,7 @@ def report_result(config: TrainConfig, initial: Splats, result: TrainResult, rep
     if any(asdict(result.shapes).values()):
         reporter.decide(shapes_decision(reporter.stage, config, result.shapes))
     if result.num_rolled_back:
-        reporter.warn(f"{result.num_rolled_back} of {result.num_steps:,} steps ended in something not finite and were not taken")
+        reporter.warn(f"{result.num_rolled_back} of {result.num_steps:,} steps gave values that are not finite and were undone")
 
 
 def device_model(prepared: PreparedTraining, result: TrainResult) -> DeviceModel:

@@ -169,7 +169,7 @@ def _leave_out_contradicted(arrivals: Arrivals, reporter: Reporter, backend: Bac
     for (first, second), agreement_db in agreement.ties.items():
         reporter.warn(
             f"the models of {arrivals.senders[first]} and {arrivals.senders[second]} contradict each other: {agreement_db:.1f} dB where "
-            f"both show the same places, {MIN_AGREEMENT_DB:g} expected. Nothing shows which is wrong, and both are joined: look at the "
+            f"both show the same places, {MIN_AGREEMENT_DB:g} expected. Neither can be shown to be wrong, so both are joined: look at the "
             "photographs of both, or add a third that shows these places."
         )
     if len(arrivals.models) < MIN_MODELS or not np.isfinite(agreement.agreement_db).any():

@@ -103,10 +103,10 @@ def _shortened(stage: str, trained: float, epochs: int) -> Decision:
     return Decision(
         stage=stage,
         topic="refinement",
-        choice=f"{trained:.1f} epochs in place of {epochs}",
+        choice=f"{trained:.1f} epochs instead of {epochs}",
         figure=trained,
         unit="epochs",
-        reason=f"devices drift apart between two means: no more than {MAX_STEPS} steps were measured to gain, and one epoch",
+        reason=f"devices drift apart between two averages: beyond {MAX_STEPS} steps, or one epoch if that is more, nothing was gained",
     )
 
 
@@ -142,7 +142,7 @@ def _in_light_of(scene: Splats, views: TrainingViews, task: RefineTask, reporter
             choice="photographs are fitted in the light of the scene",
             figure=100 * float(np.expm1(np.abs(lights.log_gains).max())),
             unit="% brighter or darker in a channel",
-            reason=f"from {MIN_GAIN:.0%} of a device or a spread of {LIGHT_SPREAD:.0%} on the scene would change its light",
+            reason=f"from {MIN_GAIN:.0%} of a device or a spread of {LIGHT_SPREAD:.0%} on, photographs would change its light",
             row=lights.regime.row,
         )
     )

@@ -99,7 +99,7 @@ def _rounds(recipe: Recipe) -> Decision:
         choice=f"devices refine the scene in {_counted(number, 'round')} of at most {_counted(epochs, 'epoch')}",
         figure=trainings.num_steps if by_steps else trainings.photograph_shows,
         unit="steps of a training" if by_steps else "times a training shows each photograph",
-        reason=case.reason if number == usual else f"asked for; after such trainings it would be {usual}",
+        reason=case.reason if number == usual else f"asked for; the default after such trainings is {usual}",
         row=case.row,
         forced=settings.refine_rounds is not None or settings.refine_epochs is not None,
     )
@@ -131,7 +131,7 @@ _ALL_TOGETHER = Decision(
     choice="no device refines the scene",
     figure=1.0,
     unit="model of all devices",
-    reason="devices that train as one model have fitted it to all of their photographs before",
+    reason="devices that train one model have already fitted it to all their photographs",
     changes_nothing=True,
 )
 
@@ -143,5 +143,5 @@ def _too_few(num_devices: int) -> Decision:
         choice="no device refines the scene",
         figure=float(num_devices),
         unit="devices could refine it",
-        reason=f"a device alone has fitted its model to its photographs before: {LEAST_DEVICES} are needed",
+        reason=f"a single device has already fitted its model to its photographs: refining needs {LEAST_DEVICES} devices",
     )

@@ -209,16 +209,14 @@ def begin_group(starts: Mapping[str, ShareStart], plan: GroupTraining, train: Tr
 def masks_decision(plan: GroupTraining, stage: str) -> Decision:
     """What masks hide where the fewest devices are summed."""
     count = plan.fewest_masked
-    hides = (
-        "of two devices each knows the other's gradient from the sum" if count == 2 else f"{count - 2} others would have to help the edge"
-    )
+    hides = "either of two devices needs only the sum" if count == 2 else f"the edge would need the help of {count - 2} others"
     return Decision(
         stage=stage,
         topic="masks of gradients",
         choice="devices mask what they send to their edge",
         figure=count,
         unit="devices at the edge that sums the fewest",
-        reason=f"it was asked for; to tell one device's gradient from there, {hides}",
+        reason=f"asked for; to learn one device's gradient, {hides}",
     )
 
 

@@ -63,7 +63,7 @@ def light_decision(lights: Lights, mode: LightMode) -> Decision:
     return Decision(
         stage="train",
         topic="light",
-        choice="photographs are trained on in one canonical light" if wanted else "photographs are trained on as they were taken",
+        choice="photographs are trained in one canonical light" if wanted else "photographs are trained as they were taken",
         figure=100 * lights.spread,
         unit="% spread of brightness at common points",
         reason=_reason(lights),

@@ -67,7 +67,7 @@ def find_poses(photos: PhotographSet, work_folder: Path, config: SfmConfig, repo
     decision = Decision(
         stage="sfm",
         topic="effort",
-        choice="done again thoroughly, which is taken" if best is thorough else "done again thoroughly: no gain, dropped",
+        choice="done again thoroughly, and taken" if best is thorough else "done again thoroughly: no gain, dropped",
         figure=float(thorough.num_registered),
         unit="photographs registered",
         reason=f"{attempt.num_registered} of {len(photos.photographs)} were registered before",
@@ -118,25 +118,25 @@ def _shortened(config: SfmConfig) -> tuple[Decision, ...]:
     adjusting = Decision(
         stage="sfm",
         topic="adjustment",
-        choice=f"all photographs, whenever the model has grown {GROWTH:g} times",
+        choice=f"all photographs, each time the model has grown by a factor of {GROWTH:g}",
         figure=GROWTH,
         unit="times",
-        reason="adjusting at every tenth takes 40 % longer and gives the same poses",
+        reason="adjusting after every tenth photograph takes 40 % longer and gives the same poses",
     )
     features = Decision(
         stage="sfm",
         topic="features",
-        choice=f"OpenCV's SIFT, {config.max_num_features:,} a photograph at most",
+        choice=f"OpenCV's SIFT, at most {config.max_num_features:,} per photograph",
         figure=float(config.max_num_features),
-        unit="features a photograph",
+        unit="features per photograph",
         reason="a third of the time of COLMAP's features, with the same poses",
     )
     verifying = Decision(
         stage="sfm",
         topic="verification",
-        choice=f"{LEAST_TRIALS} to {MOST_TRIALS:,} samples a pair",
+        choice=f"{LEAST_TRIALS} to {MOST_TRIALS:,} samples per pair",
         figure=float(MOST_TRIALS),
-        unit="samples a pair at most",
+        unit="samples per pair at most",
         reason="COLMAP's 100 to 10,000 take four times as long and verify 1 % more pairs",
     )
     return (features, verifying, adjusting)

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from radiant_core.cameras import Cameras
+from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import compose
 from radiant_core.geometry.similarity import move_cameras
@@ -29,6 +30,7 @@ from radiant_core.io.photos.listing import photograph_size_wh
 from radiant_core.io.poses.recognise import the_alignment
 from radiant_core.io.records import save_cameras
 from radiant_core.sfm.known_poses import NO_POINTS, misfit_text
+from radiant_core.sfm.model_check import check_model_poses
 from radiant_core.sfm.pose_project import crs_of, placed_project, read_with_photographs, said_of
 from radiant_core.sfm.world_frame.up import roll_deg
 
@@ -57,6 +59,8 @@ class GivenPoses:
     """What was given and is not used, or taken for another."""
     unnamed_notes: tuple[str, ...] = ()
     """The same without names of photographs."""
+    check: Decision | None = None
+    """How they were held against the photographs; None where nobody opened these."""
 
     def deal(self, names: Sequence[str], folder: Path) -> bool:
         """Write the poses of these photographs into `folder`: poses/, a COLMAP model, or
@@ -90,9 +94,12 @@ def read_given_poses(source: Path, model_folder: Path | None, where: Where = "to
         )
     folder = model_folder or models[0].folder
     model, files = read_with_files(folder, photos, required=False)
+    check = None
     if where != "by device":
         # A device looks at its photographs itself: no other process opens them.
         _require_sizes(model, photos)
+        here = set(files.files.values())
+        check = check_model_poses(model.without([image.name for image in model.images if image.name not in here]), folder, photos)
     else:
         files, model = _below_devices(files), _named_below_devices(model, files)
     cameras = _cameras_of(model)
@@ -111,6 +118,7 @@ def read_given_poses(source: Path, model_folder: Path | None, where: Where = "to
         frame=frame,
         notes=(*project_notes, *files.notes(), *unposed_count(unposed, files), *frame.notes()),
         unnamed_notes=(*project_notes, *counts, *frame.notes()),
+        check=check,
     )
 
 
@@ -153,6 +161,7 @@ def _read_alignment(path: Path, photos: Path, where: Where) -> GivenPoses:
         frame=frame,
         notes=(said_of(alignment), *alignment.notes, *files.notes(), *unposed_count(unposed, files), *frame.notes()),
         unnamed_notes=(*counts, *frame.notes()),
+        check=project.check,
     )
 
 

@@ -103,7 +103,7 @@ def masks_decision(scene: SfmScene, masks: Path | None) -> tuple[Decision, ...]:
             choice=f"{masked} of {len(scene.cameras)} photographs are used in part",
             figure=100 * (1 - _used_share(weights)),
             unit="% of all pixels ignored",
-            reason="masks or alpha channels say so",
+            reason="masks or alpha channels exclude the rest",
             forced=True,
         ),
     )

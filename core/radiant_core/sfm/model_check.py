@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from radiant_core.decisions import Decision
 from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.poses.lens import lens_of
-from radiant_core.io.poses.pose_file import PosedView, PoseFile
+from radiant_core.io.poses.pose_file import PoseFile, views_of
 from radiant_core.sfm.pose_check import check_poses
 
 PROGRAM = "COLMAP"
@@ -38,26 +36,8 @@ def check_model_poses(model: ColmapModel, folder: Path, photos: Path, *, rough: 
         path=folder,
         program=PROGRAM,
         lenses={number: lens for number, lens in lenses.items() if lens is not None},
-        views=_views(model),
+        views=views_of(model),
         points=model.points.xyz,
         colors=model.points.colors if len(model.points.ids) else None,
     )
     return check_poses(project, photos, rough=rough)
-
-
-def _views(model: ColmapModel) -> tuple[PosedView, ...]:
-    order = np.argsort(model.points.ids)
-    views = []
-    for image in model.images:
-        has_point = image.point3d_ids != -1
-        rows = order[np.searchsorted(model.points.ids[order], image.point3d_ids[has_point])] if len(order) else np.zeros(0, np.int64)
-        views.append(
-            PosedView(
-                name=image.name,
-                lens_id=image.camera_id,
-                cam_from_world=image.cam_from_world,
-                pixels=image.points2d[has_point],
-                point_rows=rows,
-            )
-        )
-    return tuple(views)

@@ -54,7 +54,7 @@ def stretch_decisions(listing: PhotoListing) -> tuple[Decision, ...]:
             choice=f"{stretch.low:,.6g} to {stretch.high:,.6g} shown as 0 to 255",
             figure=float(stretch.num_photographs),
             unit="photographs",
-            reason=f"they have {stretch.kind.bits}-bit {stretch.kind.format} and use these values; all are shown alike",
+            reason=f"they have {stretch.kind.bits}-bit {stretch.kind.format} samples in this range; all photographs are stretched alike",
         )
         for stretch in listing.stretches
     )

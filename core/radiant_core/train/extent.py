@@ -57,7 +57,7 @@ def extent_decision(cameras: Cameras, splats: Splats, per_distance: float | None
     return Decision(
         stage="train",
         topic="extent",
-        choice=f"centres move in units of {used:.3g}" + (f" in place of {flown:.3g}" if used < flown else ""),
+        choice=f"centres move in units of {used:.3g}" + (f" instead of {flown:.3g}" if used < flown else ""),
         figure=flown / used,
         unit="times as far would be a step in units of the cameras' extent",
         reason="as in 3DGS" if per_distance is None else f"{case.reason}: at most {per_distance:g} times the distance at which cameras see",

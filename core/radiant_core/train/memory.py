@@ -162,7 +162,7 @@ def within_vram(config: TrainConfig, cameras: Cameras, free_bytes: int, stage: s
         choice=f"at most {count:,} Gaussians instead of {config.max_num_splats:,}",
         figure=free_bytes / 1e6,
         unit="MB free",
-        reason=f"each takes {bytes_per_splat(config.sh_degree):,.0f} bytes in training, and a fifth is left to all else",
+        reason=f"each takes {bytes_per_splat(config.sh_degree):,.0f} bytes in training, and a fifth is left for everything else",
     )
     return replace(config, max_num_splats=count), (decision,)
 
@@ -176,10 +176,10 @@ def within_memory(
     decision = Decision(
         stage=stage,
         topic="memory",
-        choice=f"at most {count:,} Gaussians, {plan.statistics_bytes / 1e6:,.0f} MB for what the loss keeps of the photographs",
+        choice=f"at most {count:,} Gaussians, {plan.statistics_bytes / 1e6:,.0f} MB for the loss's statistics of the photographs",
         figure=memory_bytes / 1e6,
         unit="MB allowed",
-        reason=f"{plan.max_num_splats:,} Gaussians are predicted to take {plan.needed_bytes / 1e6:,.0f} MB with all else",
+        reason=f"{plan.max_num_splats:,} Gaussians are predicted to take {plan.needed_bytes / 1e6:,.0f} MB with everything else",
         forced=True,
     )
     return replace(config, max_num_splats=count), decision

@@ -107,7 +107,7 @@ def _unreduced_decision(num_steps: int, backend: str) -> Decision:
         choice="nothing is reduced for a CPU",
         figure=float(num_steps),
         unit="steps",
-        reason=f"the preset is to be followed as it is; with the {backend} renderer its full size takes hours",
+        reason=f"the preset is followed as it is; with the {backend} renderer its full size takes hours",
         forced=True,
     )
 

@@ -36,7 +36,7 @@ from radiant_core.train.results import TrainProgress, TrainResult, TrainState
 from radiant_core.train.shapes import ShapeCounts, limit_shapes, with_needle_width
 from radiant_core.train.thin_surfaces import ThinSurfaces
 from radiant_core.train.validation import BestModel
-from radiant_core.train.view_loss import ViewLoss, view_of_step
+from radiant_core.train.view_loss import ImageLoss, ViewLoss, view_of_step
 from radiant_core.train.views import TrainingViews
 
 STEPS_BETWEEN_LIMITS = 50
@@ -104,6 +104,10 @@ class FitOptions:
     """That of the larger training of which this one is a part; None: its own (`extent.py`)."""
     frozen: NDArray[np.bool_] | None = None
     """Gaussians (N,) that are rendered and keep their bits; only without densification."""
+    loss: ImageLoss | None = None
+    parts: tuple[Part, ...] = ()
+    """A loss in place of the built-in one, and parts after the built-in ones. Neither is in the key
+    of checkpoints: only trainings without checkpoints have them."""
 
 
 def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions = FitOptions()) -> TrainResult:
@@ -288,7 +292,7 @@ class Training(ModelFit):
         super().__init__(initial, config, options, extent)
         self._views = views
         self._parts = training_parts(self._splats, views, config, options, extent)
-        self._view_loss = ViewLoss(views, config, options.backend, options.statistics_bytes)
+        self._view_loss = ViewLoss(views, config, options.backend, options.statistics_bytes, options.loss)
 
     def take_step(self) -> None:
         """Take the next step; one that ends in something not finite is undone and counted."""
@@ -363,7 +367,7 @@ def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConf
         if not isinstance(density, NoDensification):
             raise BadInput(f"Gaussians are held while density.kind is {density.kind!r}, which moves rows: set density.kind to 'none'.")
         parts.append(HeldRows(splats, options.frozen))
-    return tuple(parts)
+    return (*parts, *options.parts)
 
 
 def settled_rate_share(step: int, progress: float, num_views: int, settle_epochs: int | None) -> float:

@@ -19,14 +19,20 @@ from radiant_core.train.views import TrainingViews
 
 Watch = Callable[[Moment, RenderOutput], None]
 """Looks at a rendering before its backward pass."""
+ImageLoss = Callable[[Tensor, Tensor], Tensor]
+"""Render and photograph (H,W,3), 0 to 1, masked pixels alike in both → their loss, a scalar."""
 
 
 class ViewLoss:
     """Renders a model at views and takes the gradients of the loss there."""
 
-    def __init__(self, views: TrainingViews, config: TrainConfig, backend: Backend, statistics_bytes: int) -> None:
-        """`statistics_bytes`: memory for what the loss keeps of its targets."""
+    def __init__(
+        self, views: TrainingViews, config: TrainConfig, backend: Backend, statistics_bytes: int, loss: ImageLoss | None = None
+    ) -> None:
+        """`statistics_bytes`: memory for what the loss keeps of its targets. `loss` replaces the
+        weighted L1 and SSIM."""
         self._full, self._config, self._statistics_bytes = views, config, statistics_bytes
+        self._loss = loss
         self._backend: Backend = backend
         self._device = device_of(resolve_backend(backend))
         self.use_size(config.start_scale)
@@ -75,7 +81,11 @@ class ViewLoss:
         image = output.images.view(height, width, 3)
         weights = _weights(self._views, view)
         try:
-            loss = target_loss(match_masked(image, target.target, weights), target, weights, config.ssim_weight)
+            image = match_masked(image, target.target, weights)
+            if self._loss is None:
+                loss = target_loss(image, target, weights, config.ssim_weight)
+            else:
+                loss = _checked(self._loss(image, target.target), image)
         except BadInput as error:
             raise StageFailed(str(error)) from error
         value = float(loss.detach())
@@ -86,6 +96,15 @@ class ViewLoss:
         watch(moment, output)
         loss.backward()
         return value, output.visible
+
+
+def _checked(loss: object, image: Tensor) -> Tensor:
+    """A loss by a function of others; not BadInput, which the caller takes for a step to undo."""
+    if not isinstance(loss, Tensor) or loss.ndim or (image.requires_grad and not loss.requires_grad):
+        found = f"a tensor of shape {tuple(loss.shape)}" if isinstance(loss, Tensor) else type(loss).__name__
+        found += " without a gradient" if isinstance(loss, Tensor) and not loss.ndim else ""
+        raise TypeError(f"the loss function returned {found}, expected a scalar tensor computed by torch from the render.")
+    return loss
 
 
 def sh_degree_at(moment: Moment, splats: SplatTensors, config: TrainConfig) -> int:

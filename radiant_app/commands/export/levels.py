@@ -64,7 +64,7 @@ def export_tiles(request: ExportRequest, display: ProgressDisplay) -> dict[str, 
     place = _place_of(request)
     frame = place.frame
     if frame is None or frame.kind != "metric":
-        display(Warned(stage="export", message="no GPS says where the model lies: the tiles have no place on the globe."))
+        display(Warned(stage="export", message="without GPS the tiles have no place on the globe."))
     with create_folder(request.out, whole=True), stage_bar(display, "tiles") as report:
         counts = save_tiles(
             request.out,

@@ -122,7 +122,7 @@ def _exchange(listen: Listener) -> ExchangeTime | None:
     try:
         return measure_exchange()
     except StageFailed as error:
-        listen(Warned(stage=STAGE, message=f"what an exchange takes is not measured: {error}"))
+        listen(Warned(stage=STAGE, message=f"the time of an exchange is not measured: {error}"))
         return None
 
 

@@ -63,7 +63,7 @@ def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tu
         raise BadInput(f"{run} has no edge that received models: give a run whose devices have trained.")
     for folder in folders:
         if folder.name not in tasks:
-            display(Warned(stage=f"edges/{folder.name}", message="it received no model, so that its region is left out."))
+            display(Warned(stage=f"edges/{folder.name}", message="it received no model, so its region is left out."))
     models: dict[str, EdgeModel | str] = {}
     joined_s = 0.0
     for edge, edge_task in tasks.items():

@@ -159,10 +159,10 @@ def _near_planes(splats: Splats, cameras: Cameras, display: ProgressDisplay) -> 
         decision = Decision(
             stage="render",
             topic="sky and haze",
-            choice="what lies far before the scene is not drawn",
+            choice="Gaussians far in front of the scene are not drawn",
             figure=far,
             unit=f"of {len(cameras)} pictures",
-            reason="their eyes are far outside the scene, which sky and haze before it would hide; --surroundings shows them",
+            reason="the views are far outside the scene, and sky and haze would hide it; --surroundings draws them",
         )
         display(Decided(decision=decision))
     return reach.near_m(cameras)

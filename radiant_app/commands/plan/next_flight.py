@@ -240,7 +240,7 @@ def _tell(request: NextFlightRequest, candidates: Candidates, flights: Sequence[
         choice=f"{count} of {len(candidates)} safe views",
         figure=float(sum(view.gain for flight in flights for view in flight.views)),
         unit="expected gain",
-        reason=f"the greedy choice by gain ends at the {limit} that were asked for",
+        reason=f"the greedy choice by gain stops at the {limit} asked for",
         otherwise=f"--{limit}",
     )
     display(Decided(decision=decision))

@@ -315,9 +315,11 @@ def _summary(out: Path, before: _Before, new: Replan, more: tuple[str, ...]) -> 
     lost, num_devices = int(new.lost.sum()), len(new.system.devices)
     warnings = [*more, *([f"{NO_COLUMN}: {problem}"] if (problem := before.waypoints and before.waypoints.height_problem) else [])]
     if lost:
-        warnings.append(f"{lost} captured positions of dead devices are lost: leave them out of --captured to have them taken again.")
+        warnings.append(f"{lost} captured positions of dead devices are lost: leave them out of --captured to plan them again.")
     if not new.fewest_proved:
-        warnings.append("That no fewer positions could move is not proved: devices of an edge send unequal bytes, or too many move.")
+        warnings.append(
+            "It is not proved that this is the fewest positions that could move: devices of an edge send unequal bytes, or too many move."
+        )
     ends = [np.bincount(owners, minlength=num_devices) for owners in (new.device_before, new.device_after)]
     rows = [
         {

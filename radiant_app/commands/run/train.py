@@ -285,7 +285,7 @@ def _validation_decision(request: TrainRequest, num_training: int, num_validated
         choice=f"{num_validated} photographs only choose the best model" if num_validated else "the last model is returned",
         figure=float(num_training),
         unit="training photographs",
-        reason=f"from {MIN_VALIDATED} on an eighth of them is spared for it; of fewer it is worth more in training",
+        reason=f"with {MIN_VALIDATED} or more photographs an eighth is set aside for this; with fewer, all are worth more in training",
         forced=request.validate is not None,
     )
 
@@ -298,7 +298,7 @@ def _resolve_config(request: TrainRequest, backend: str) -> tuple[TrainConfig, t
     budget = Decision(
         stage=STAGE,
         topic="budget",
-        choice="time ends the training" + (", or steps if they come first" if request.overrides.num_steps else ""),
+        choice="the training ends by time" + (", or by steps if they come first" if request.overrides.num_steps else ""),
         figure=request.time_s,
         unit="s",
         reason="asked for on the command line",

@@ -156,5 +156,5 @@ def _source_decision(survey: Survey, from_photographs: bool) -> Decision:
         choice="photographs matched against each other" if from_photographs else "depth rendered from the model",
         figure=float(count),
         unit="views",
-        reason=f"{reason}; heights of the model alone are some four times as uncertain",
+        reason=f"{reason}; heights from the model alone are about four times as uncertain",
     )

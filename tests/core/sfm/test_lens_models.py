@@ -120,7 +120,7 @@ def test_a_panorama_is_refused_by_its_name(form: str, tmp_path: Path) -> None:
     model.add_camera_with_trivial_rig(pycolmap.Camera(model="EQUIRECTANGULAR", width=320, height=160, params=[320, 160], camera_id=1))
     model.add_image_with_trivial_frame(pycolmap.Image(name="a.png", camera_id=1, image_id=1), pycolmap.Rigid3d())
     (model.write_text if form == "text" else model.write_binary)(tmp_path)
-    with pytest.raises(BadInput, match=r"EQUIRECTANGULAR, a panorama of 360°, .* cut the panoramas into pinhole photographs"):
+    with pytest.raises(BadInput, match=r"EQUIRECTANGULAR, a panorama of 360°, .* or give the model of faces that COLMAP's panorama_sfm"):
         read_model(tmp_path)
 
 

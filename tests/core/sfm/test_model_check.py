@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.records import PARAM_COUNTS, ColmapCamera, ColmapModel
+from radiant_core.io.colmap.text import write_model
 from radiant_core.io.poses.lens import lens_of
+from radiant_core.sfm.given_poses import Where, read_given_poses
 from radiant_core.sfm.known_poses import NO_POINTS
 from radiant_core.sfm.model_check import check_model_poses
 from radiant_core.sfm.reconstruct import scene_from_colmap
@@ -137,3 +140,15 @@ def test_a_model_of_some_photographs_is_held_against_what_these_see() -> None:
     part = replace(whole, images=[whole.images[0], whole.images[3]])
     seen = check_model_poses(part, Path("sparse"), IMAGES)
     assert seen.unit == "px" and seen.figure is not None and seen.figure < 0.01
+
+
+def test_known_poses_of_devices_are_held_against_their_photographs_too(tmp_path: Path) -> None:
+    shutil.copytree(IMAGES, tmp_path / "images")
+    write_model(tmp_path / "right", hamlet_model())
+    poses = read_given_poses(tmp_path / "images", tmp_path / "right")
+    assert poses.check is not None and poses.check.figure is not None and poses.check.figure < 0.01
+    write_model(tmp_path / "wrong", flipped(hamlet_model()))
+    where: Where
+    for where in ("together", "own"):
+        with pytest.raises(BadInput, match=r"wrong of COLMAP does not fit itself: 0% of its points fall into two or more photographs"):
+            read_given_poses(tmp_path / "images", tmp_path / "wrong", where)

@@ -189,7 +189,7 @@ def test_where_the_short_way_loses_photographs_all_is_done_again_thoroughly(
     monkeypatch.setattr(mapping, "keep_related", lambda *given: [] if given[2].effort == "auto" else keep_related(*given))
     result = reconstruct(hamlet / "images", tmp_path, replace(QUICK, mapper="incremental"), quiet)
     efforts = [decision.choice for decision in result.decisions if decision.topic == "effort"]
-    assert efforts == ["done again thoroughly, which is taken"]
+    assert efforts == ["done again thoroughly, and taken"]
     assert len(result.scene.cameras) >= len(list((hamlet / "images").iterdir())) - 1
 
 

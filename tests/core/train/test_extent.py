@@ -84,7 +84,7 @@ def test_the_decision_says_what_is_done_and_for_how_much() -> None:
         extent_decision(line(length_m), ground(length_m), limit) for length_m, limit in ((4.0, 2.0), (400.0, 2.0), (400.0, None))
     )
     assert short.changes_nothing and short.figure == 1 and "in place" not in short.choice
-    assert long.choice == "centres move in units of 12 in place of 220" and long.figure == pytest.approx(220 / 12, rel=1e-4)
+    assert long.choice == "centres move in units of 12 instead of 220" and long.figure == pytest.approx(220 / 12, rel=1e-4)
     assert free.changes_nothing and free.reason == "as in 3DGS"
 
 

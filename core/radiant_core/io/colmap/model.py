@@ -35,6 +35,12 @@ def image_names(folder: Path) -> tuple[str, ...]:
     return tuple(image.name for image in _PARSERS[path.suffix].parse_images(_bytes_of(path), str(path)))
 
 
+def read_cameras(folder: Path) -> list[ColmapCamera]:
+    """The cameras of the model in `folder`, not checked; raises as `read_model`."""
+    path = model_files(folder)[STEMS.index("cameras")]
+    return _PARSERS[path.suffix].parse_cameras(_bytes_of(path), str(path))
+
+
 def image_centers(folder: Path) -> FloatArray:
     """Centres (C,3) of the images of the model in `folder`, −Rᵀ t; raises as `read_model`."""
     path = model_files(folder)[STEMS.index("images")]

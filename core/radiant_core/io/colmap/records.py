@@ -137,8 +137,11 @@ class ColmapModel:
         return replace(self, images=images, points=replace(self.points, tracks=tracks))
 
 
-def check_model(cameras: list[ColmapCamera], images: list[ColmapImage], points: ColmapPoints, source: str) -> ColmapModel:
-    """The records as one model if they fit each other; BadInput names `source` and a misfit."""
+def check_model(
+    cameras: list[ColmapCamera], images: list[ColmapImage], points: ColmapPoints, source: str, *, panoramas: bool = False
+) -> ColmapModel:
+    """The records as one model if they fit each other; BadInput names `source` and a misfit, such
+    as a panorama where `panoramas` is False."""
     by_id = {camera.camera_id: camera for camera in cameras}
     _require_unique("camera id", [camera.camera_id for camera in cameras], source)
     _require_unique("image id", [image.image_id for image in images], source)
@@ -147,6 +150,8 @@ def check_model(cameras: list[ColmapCamera], images: list[ColmapImage], points: 
         _check_camera(camera, source)
     for image in images:
         _check_image(image, by_id, source)
+        if not panoramas and by_id[image.camera_id].model == PANORAMA:
+            raise BadInput(_panorama_text(image, source))
     _check_points(points, images, source)
     return ColmapModel(cameras=by_id, images=tuple(sorted(images, key=lambda image: image.name)), points=points)
 
@@ -178,17 +183,19 @@ def _check_image(image: ColmapImage, cameras: dict[int, ColmapCamera], source: s
         raise BadInput(f"{label} has a name that is no relative path inside the image folder: rename the image.")
     if image.camera_id not in cameras:
         raise BadInput(f"{label} names camera {image.camera_id}, which is not in the cameras file: export the model again.")
-    if cameras[image.camera_id].model == PANORAMA:
-        raise BadInput(
-            f"{label} is {PANORAMA}, a panorama of 360°, which no flat photograph shows whole: cut the panoramas into pinhole photographs, "
-            "as COLMAP's panorama_sfm.py does, and give the model of those."
-        )
     pose = np.concatenate([image.quat_wxyz, image.translation])
     if not _within(MAX_COORDINATE, pose, image.points2d):
         raise BadInput(f"{label} has a pose or 2D point that is not finite or beyond {MAX_COORDINATE:g}: export it again.")
     # COLMAP writes unit quaternions with 17 digits; 1 % admits hand-written ones and no garbage.
     if abs(np.linalg.norm(image.quat_wxyz) - 1) > 0.01:
         raise BadInput(f"{label} has a quaternion of length {np.linalg.norm(image.quat_wxyz):.3g}, expected 1.")
+
+
+def _panorama_text(image: ColmapImage, source: str) -> str:
+    return (
+        f"{source}: image {image.image_id} ({image.name!r}) is {PANORAMA}, a panorama of 360°, which becomes flat photographs with "
+        "--frames shared alone: use that, or give the model of faces that COLMAP's panorama_sfm.py cuts."
+    )
 
 
 def _check_points(points: ColmapPoints, images: list[ColmapImage], source: str) -> None:

@@ -82,7 +82,8 @@ class PoseFile:
     @property
     def title(self) -> str:
         """How messages name it."""
-        return f"{self.path.name} of {self.program}"
+        folder = "sparse/" if self.path.parent.name == "sparse" else ""
+        return f"{folder}{self.path.name} of {self.program}"
 
     @property
     def num_seen(self) -> int:
@@ -131,6 +132,25 @@ def posed_view(
     pose[:3, 3] = check_array(f"the translation of {name!r}", translation, (3,))
     pixels, rows = (np.zeros((0, 2)), np.zeros(0, np.int64)) if observations is None else observations
     return PosedView(name=name, lens_id=lens_id, cam_from_world=pose, pixels=pixels, point_rows=rows)
+
+
+def views_of(model: ColmapModel) -> tuple[PosedView, ...]:
+    """The images of a COLMAP model, with what they see of its points."""
+    order = np.argsort(model.points.ids)
+    views = []
+    for image in model.images:
+        has_point = image.point3d_ids != -1
+        rows = order[np.searchsorted(model.points.ids[order], image.point3d_ids[has_point])] if len(order) else np.zeros(0, np.int64)
+        views.append(
+            PosedView(
+                name=image.name,
+                lens_id=image.camera_id,
+                cam_from_world=image.cam_from_world,
+                pixels=image.points2d[has_point],
+                point_rows=rows,
+            )
+        )
+    return tuple(views)
 
 
 def nearest_rotation(matrix: FloatArray, subject: str) -> FloatArray:

@@ -14,6 +14,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.poses import pix4d, polycam
 from radiant_core.io.poses.bundler import MARK as BUNDLER_MARK
 from radiant_core.io.poses.bundler import list_of, read_bundler
+from radiant_core.io.poses.colmap_panoramas import read_colmap_panoramas
 from radiant_core.io.poses.metashape import read_metashape
 from radiant_core.io.poses.openmvg import read_openmvg
 from radiant_core.io.poses.opensfm import read_opensfm
@@ -104,8 +105,10 @@ def alignment_files(path: Path) -> tuple[Path, ...]:
 
 
 def read_alignment(path: Path, size_of: SizeOf) -> PoseFile:
-    """The alignment in a file; BadInput where it is of no format that is read, or of a broken
-    one."""
+    """The alignment in a file, or in the folder of a COLMAP model of panoramas; BadInput where it
+    is of no format that is read, or of a broken one."""
+    if path.is_dir():
+        return read_colmap_panoramas(path, size_of)
     if not path.is_file():
         raise BadInput(f"{path} is no file with an alignment: expected {READABLE}, or the folder of a COLMAP model.")
     form = format_of(path)

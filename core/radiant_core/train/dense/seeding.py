@@ -45,10 +45,10 @@ def seed_densely(
     decision = Decision(
         stage="train",
         topic="dense points",
-        choice=f"{len(points):,} points begin the model, which does not grow" if seeds else "no dense points",
+        choice=f"{len(points):,} points start the model, which does not grow" if seeds else "no dense points",
         figure=float(len(points)),
         unit="points that three photographs agree on",
-        reason="asked for on the command line" if seeds else f"fewer than {MIN_POINTS} would cover next to nothing",
+        reason="asked for on the command line" if seeds else f"fewer than {MIN_POINTS} points would cover almost nothing",
         forced=True,
         changes_nothing=not seeds,
     )
