@@ -209,7 +209,7 @@ class PlanOptions:
 
     method: Annotated[PlanMethod, Option(name="--plan-method")] = "exact"
     """exact: least makespan; paper: Alg. 1 on power cells; paper-literal: Alg. 1 as written; even:
-    equal counts; voronoi: nearest edge; kd: halves of equal counts."""
+    equal counts."""
     file: Annotated[Path | None, Option(name="--plan")] = None
     """Plan that `radiant plan` made before capture; by default the photographs are planned."""
     cut_by: CutBy = "auto"

@@ -28,7 +28,7 @@ system = "fleet.toml"
 seed = 3
 preset = "paper"
 [plan]
-method = "voronoi"
+method = "even"
 [train]
 num_steps = 300
 sky = false
@@ -43,7 +43,7 @@ ASKED: dict[str, Any] = {
     "seed": 3,
     "upload": "float32",
     "sfm": SfmOptions(matching="exhaustive", effort="thorough"),
-    "plan": PlanOptions(method="voronoi", within_edge="joined", between_edges="joined"),
+    "plan": PlanOptions(method="even", within_edge="joined", between_edges="joined"),
     "train": TrainOptions(
         preset="paper", num_steps=300, step_policy="fixed", settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}
     ),
@@ -79,15 +79,15 @@ def test_a_run_file_options_and_set_start_the_same_run(tmp_path: Path, asked: Ru
     where = (tmp_path / "photos", "--out", tmp_path / "run", "--system", tmp_path / "fleet.toml", "--preset", "paper")
     train_set = ("--set=train.sky=false", "--set=train.max-epochs=none", "--set=train.density.kind=mcmc")
     only_set = (*train_set, "--set", "aggregate.cloud_epochs=2")
-    options = ("--seed", 3, "--plan-method", "voronoi", "--steps", 300, "--checkpoint-every", "1.5m")
+    options = ("--seed", 3, "--plan-method", "even", "--steps", 300, "--checkpoint-every", "1.5m")
     assert started(monkeypatch, *where, *options, *only_set) == asked
-    paths = ("seed=3", "plan.method=voronoi", "train.num_steps=300", "execution.checkpoint_every_s=90")
+    paths = ("seed=3", "plan.method=even", "train.num_steps=300", "execution.checkpoint_every_s=90")
     assert started(monkeypatch, *where, *only_set, *(f"--set={path}" for path in paths)) == asked
 
 
 def test_options_beside_a_run_file_win(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = started(monkeypatch, run_file(tmp_path), "--steps", 7, "--set=plan.method=even", "--out", tmp_path / "other")
-    assert (config.train.num_steps, config.plan.method, config.out) == (7, "even", tmp_path / "other")
+    config = started(monkeypatch, run_file(tmp_path), "--steps", 7, "--set=plan.method=paper", "--out", tmp_path / "other")
+    assert (config.train.num_steps, config.plan.method, config.out) == (7, "paper", tmp_path / "other")
     assert config.train.settings == {"sky": False, "max_epochs": None, "density.kind": "mcmc"}
 
 
@@ -115,7 +115,7 @@ def test_a_configuration_comes_back_from_its_tables(asked: RunConfig) -> None:
         ("seed = 3", "num_steps = 3", "num_steps is not a key of a run file: use train.num_steps."),
         ("[plan]", "[plans]", "plans is not a section of a run file: did you mean [plan]?"),
         ("seed = 3", "evaluate = 3", "evaluate is 3, expected a section, [evaluate]."),
-        ('"voronoi"', '"magic"', "plan.method is 'magic'; expected 'exact', 'paper', 'paper-literal', 'even', 'voronoi' or 'kd'"),
+        ('"even"', '"magic"', "plan.method is 'magic'; expected 'exact', 'paper', 'paper-literal' or 'even'"),
         ('system = "fleet.toml"', 'system = ""', "system is ''; string should have at least 1 character"),
         ('source = "photos"', "", "source is missing"),
         ("[train]", "[train", "not a TOML file"),
