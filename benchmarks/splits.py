@@ -31,7 +31,7 @@ NEAREST = 1e12
 def plan_by(method: AnyMethod, positions: FloatArray, system: System) -> CloudPlan | PlanInfeasible:
     """Regions for cameras (C,2) m by a method of runs or a split; edges are placed. A split beyond
     the memory of an edge is infeasible."""
-    if method not in get_args(Split):
+    if method not in ("voronoi", "kd"):
         return plan_regions(positions, system, method=method)
     cells = split(method, positions, system)
     counts = np.bincount(cells, minlength=len(system.edges))

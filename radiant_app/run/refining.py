@@ -42,7 +42,7 @@ UNUSED = "its edge sent no refinement that could be used."
 def expected_refines(recipe: Recipe, tree: Tree) -> list[str]:
     """The nodes that are to be expected to refine this tree's scene: all, in every round, where the
     settings ask for it and devices differ. Which do is known when their models are in the scene."""
-    if "cloud" in recipe.groups or not recipe.aggregate.refines or sum(node.tier == "device" for node in tree) < LEAST_DEVICES:
+    if "cloud" in recipe.groups or not recipe.aggregate.refine.is_asked_for or sum(node.tier == "device" for node in tree) < LEAST_DEVICES:
         return []
     return [refined_at(node.id, number) for number in range(1, choose_rounds(recipe) + 1) for node in tree]
 

@@ -31,6 +31,7 @@ from radiant_app.workers.refining import (
     run_finish,
 )
 from radiant_app.workers.tasks import FinishTask
+from radiant_core.aggregate.config import Refine
 from radiant_core.aggregate.tree import Tree, refined_at, refines_for
 from radiant_core.hierarchy.codec import CAMERAS_NAME, REFINED_NAME, ROWS_NAME
 from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining, refining_steps
@@ -173,7 +174,7 @@ def test_a_second_round_is_for_trainings_that_left_something_to_fit(refining: Re
     hardly, few, some, often = (replace(recipe, train=replace(recipe.train, num_steps=steps)) for steps in steps_of.values())
     assert [choose_rounds(each) for each in (hardly, few, some, often)] == [5, 2, 3, 1]
     assert choose_rounds(replace(often, num_photographs=2 * photographs)) == 2, "where a recipe knows a part of a run's plans"
-    asked = replace(often, aggregate=replace(often.aggregate, refine_rounds=2))
+    asked = replace(often, aggregate=replace(often.aggregate, refine=Refine(rounds=2)))
     by_steps = replace(often, train=replace(often.train, num_steps=SHORT_STEPS - 1), num_photographs=4)
     for each, number, forced, why in (
         (hardly, 5, False, "below 30"),
@@ -191,16 +192,16 @@ def test_a_second_round_is_for_trainings_that_left_something_to_fit(refining: Re
         assert {each.refine_task(device).epochs for device in devices} == {epochs}
         assert why in decision.reason and ("steps" in decision.unit) == (each is by_steps)
         assert decision.figure == pytest.approx(SHORT_STEPS - 1 if each is by_steps else each.train.num_steps * 4 / photographs)
-    once = replace(by_steps, aggregate=replace(by_steps.aggregate, refine_epochs=1))
+    once = replace(by_steps, aggregate=replace(by_steps.aggregate, refine=Refine(epochs=1)))
     decision = plan_refining(once, refining.plan.devices, 1000).decisions[-1]
     assert decision.forced and decision.choice.endswith("2 rounds of at most 1 epoch")
-    none = replace(often, aggregate=replace(often.aggregate, refine_epochs=0))
+    none = replace(often, aggregate=replace(often.aggregate, refine=Refine(epochs=0)))
     assert plan_refining(none, refining.plan.devices, 1000).decisions == ()
 
 
 def test_every_round_refines_the_scene_of_the_last_one_that_made_one(refining: Refining) -> None:
     recipe = refining.dealer.recipe
-    refining.dealer.recipe = replace(recipe, aggregate=replace(recipe.aggregate, refine_rounds=3))
+    refining.dealer.recipe = replace(recipe, aggregate=replace(recipe.aggregate, refine=Refine(rounds=3)))
     rounds, heard = plan_rounds(refining.dealer, refining.moves), list[Event]()
     assert len(rounds) == 3
     started: list[Path] = []
@@ -272,7 +273,7 @@ def test_the_cloud_writes_a_next_start_where_a_round_follows_and_keeps_what_nobo
 
 def test_the_cloud_is_dealt_what_the_round_before_made(refining: Refining) -> None:
     recipe = refining.dealer.recipe
-    refining.dealer.recipe = replace(recipe, aggregate=replace(recipe.aggregate, refine_rounds=2))
+    refining.dealer.recipe = replace(recipe, aggregate=replace(recipe.aggregate, refine=Refine(rounds=2)))
     first, second = plan_rounds(refining.dealer, refining.moves)
     folder = refining.dealer.run / first.node("cloud")
     for name, brighter in ((REFINED_SCENE, 0.0), (NEXT_SCENE, 0.1)):
@@ -294,7 +295,7 @@ def test_the_cloud_is_dealt_what_the_round_before_made(refining: Refining) -> No
 def test_a_count_holds_for_its_scene_alone(refining: Refining) -> None:
     """What an edge counted in an earlier round is read where it lies, unless it is of what another --resume had joined."""
     recipe, run = refining.dealer.recipe, refining.dealer.run
-    refining.dealer.recipe = replace(recipe, aggregate=replace(recipe.aggregate, refine_rounds=2))
+    refining.dealer.recipe = replace(recipe, aggregate=replace(recipe.aggregate, refine=Refine(rounds=2)))
     save_ply(run / "cloud" / "scene.ply", ground_splats(50))
     first, second = plan_rounds(refining.dealer, refining.moves)
     (edge, *_) = nodes_of(second, "edge")

@@ -24,7 +24,7 @@ from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.run.refining import Refining, plan_rounds
 from radiant_app.workers.nodes import CUT_SCENE
 from radiant_app.workers.sources import sfm_record
-from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.config import AggregateConfig, Refine, aggregate_preset
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
@@ -116,24 +116,24 @@ def hamlet_of_two_tiers(folder: Path) -> World:
         config=RunConfig(source=hamlet / "images", out=folder), scene=result.scene, images=result.undistorted_folder
     )
     recipe = planned(
-        photographs, unequal(even_system(2, 2)), DRAFT, AggregateConfig(cloud_epochs=1, edge_epochs=2, refine_epochs=2, refine_rounds=2)
+        photographs, unequal(even_system(2, 2)), DRAFT, AggregateConfig(cloud_epochs=1, edge_epochs=2, refine=Refine(epochs=2, rounds=2))
     )
     return World(photographs=photographs, recipe=replace(recipe, upload="float16"))
 
 
 def ground_of_a_lone_edge(folder: Path) -> World:
     """One edge, which retrains its two devices' models; exact uploads."""
-    return ground(folder, unequal(even_system(1, 2)), AggregateConfig(edge_epochs=1, refine_epochs=2, refine_rounds=3))
+    return ground(folder, unequal(even_system(1, 2)), AggregateConfig(edge_epochs=1, refine=Refine(epochs=2, rounds=3)))
 
 
 def ground_crop_merged(folder: Path) -> World:
     """Two edges of one device each, whose models the cloud crops; exact uploads."""
-    return ground(folder, even_system(2, 1), AggregateConfig(cloud="crop_merge", refine_epochs=2, refine_rounds=1))
+    return ground(folder, even_system(2, 1), AggregateConfig(cloud="crop_merge", refine=Refine(epochs=2, rounds=1)))
 
 
 def ground_that_only_fades(folder: Path) -> World:
     """Two edges of one device each, whose models the cloud leaves to the devices; exact uploads."""
-    return ground(folder, even_system(2, 1), AggregateConfig(cloud_epochs=0, refine_epochs=2, refine_rounds=2))
+    return ground(folder, even_system(2, 1), AggregateConfig(cloud_epochs=0, refine=Refine(epochs=2, rounds=2)))
 
 
 def ground(folder: Path, system: System, aggregate: AggregateConfig) -> World:
