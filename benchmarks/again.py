@@ -147,12 +147,12 @@ class Town:
 
     def holes(self, shots: Sequence[Shot]) -> float:
         """Share of the true surface in the scored views that none of the shots shows."""
-        shown = total = 0
+        num_shown = total = 0
         for shot, depth in zip(self.scored, self.depths, strict=True):
             near = depth < 3 * self.config.altitude_m
-            shown += int((count_views(self.photographer, shot, depth, list(shots))[near] > 0).sum())
+            num_shown += int((count_views(self.photographer, shot, depth, list(shots))[near] > 0).sum())
             total += int(near.sum())
-        return 1 - shown / total
+        return 1 - num_shown / total
 
 
 def _cameras_of(config: SceneConfig, shots: Sequence[Shot]) -> Cameras:
@@ -176,8 +176,8 @@ class Proposals:
 def propose(town: Town) -> Proposals:
     """Train on the flight, map what is known, and propose each arm's shots."""
     scene, images = town.scene(town.flown), [town.photograph(shot) for shot in town.flown]
-    held = held_out_mask(scene.cameras.names)
-    rows = np.flatnonzero(~held)
+    held_out = held_out_mask(scene.cameras.names)
+    rows = np.flatnonzero(~held_out)
     splats = town.train(scene, images, rows)
     begun_s = time.process_time()
     map_frame = map_frame_of(scene.frame)
@@ -186,8 +186,8 @@ def propose(town: Town) -> Proposals:
     facets = facets_of_model(splats, scene, ground, grid, MapView(map_frame=map_frame, long_side_px=town.config.width_px))
     sights, cameras = Sights(facets, map_frame), scene.cameras.select(rows)
     sightings = sights.all_of(cameras)
-    known = known_by(sights, cameras, sightings)
-    row = _map_row(town, sights, known, sightings, splats, (scene, images, held))
+    known_facets = known_by(sights, cameras, sightings)
+    row = _map_row(town, sights, known_facets, sightings, splats, (scene, images, held_out))
     map_s = time.process_time() - begun_s
     lens = Lens(
         size_wh=(town.config.width_px, town.config.height_px),
@@ -196,13 +196,13 @@ def propose(town: Town) -> Proposals:
     begun_s = time.process_time()
     air = air_over(facets, FlightRules(safe=SAFE_M, take_off=usual_take_off(facets), lowest=SAFE_M))
     candidates = candidate_views(air, map_frame, lens, ground.reach)
-    chosen = choose_views(facets, known, sights.all_of(candidates.cameras), NUM_MORE)
+    chosen = choose_views(facets, known_facets, sights.all_of(candidates.cameras), NUM_MORE)
     proposal_s = time.process_time() - begun_s
-    drawn = np.random.default_rng([town.seed, 66]).choice(len(candidates), NUM_MORE, replace=False)
+    random_rows = np.random.default_rng([town.seed, 66]).choice(len(candidates), NUM_MORE, replace=False)
     grid_flight = plan_flight(replace(town.config, num_cameras=NUM_MORE, date=1))
     shots = {
         "proposed": _shots(candidates.cameras, [view.row for view in chosen]),
-        "random": _shots(candidates.cameras, drawn.tolist()),
+        "random": _shots(candidates.cameras, random_rows.tolist()),
         "grid": [replace(shot, name=f"more_{number:04d}.jpg") for number, shot in enumerate(grid_flight)],
     }
     return Proposals(shots=shots, row=replace(row, map_s=map_s, proposal_s=proposal_s))
@@ -224,30 +224,32 @@ def _shots(cameras: Cameras, rows: Sequence[int]) -> list[Shot]:
 def _map_row(
     town: Town,
     sights: Sights,
-    known: Knowledge,
+    known_facets: Knowledge,
     sightings: Sequence[Sighting],
     splats: Splats,
     flown: tuple[SfmScene, Sequence[NDArray[np.uint8]], NDArray[np.bool_]],
 ) -> MapRow:
     """Predicted error by held-out photographs against the true one in the scored views."""
-    scene, images, held = flown
+    scene, images, held_out = flown
     cell, count = sights.facets.surface.grid.cell, len(sights.facets)
 
-    def errors(cameras: Cameras, pictures: Sequence[NDArray[np.uint8]], seen: Sequence[Sighting]) -> list[FloatArray]:
-        return list(errors_in_views(splats, cameras, pictures, seen, cell))
+    def errors(cameras: Cameras, pictures: Sequence[NDArray[np.uint8]], sightings: Sequence[Sighting]) -> list[FloatArray]:
+        return list(errors_in_views(splats, cameras, pictures, sightings, cell))
 
-    train_rows, held_rows = np.flatnonzero(~held), np.flatnonzero(held)
+    train_rows, held_rows = np.flatnonzero(~held_out), np.flatnonzero(held_out)
     train_db = mean_errors_db(
         count, sightings, errors(scene.cameras.select(train_rows), [images[row] for row in train_rows.tolist()], sightings)
     )
     held_cameras = scene.cameras.select(held_rows)
     held_seen = sights.all_of(held_cameras)
-    samples = error_samples(train_db, known.score, held_seen, errors(held_cameras, [images[row] for row in held_rows.tolist()], held_seen))
+    samples = error_samples(
+        train_db, known_facets.score, held_seen, errors(held_cameras, [images[row] for row in held_rows.tolist()], held_seen)
+    )
     model = fit_errors(samples)
-    predicted_db = model.predict(train_db, known.score)
+    predicted_db = model.predict(train_db, known_facets.score)
     scored = town.scored_cameras()
-    seen = sights.all_of(scored)
-    true_db = mean_errors_db(count, seen, errors(scored, town.truths, seen))
+    sightings_of_scored = sights.all_of(scored)
+    true_db = mean_errors_db(count, sightings_of_scored, errors(scored, town.truths, sightings_of_scored))
     both = np.isfinite(predicted_db) & np.isfinite(true_db)
     good = None if model.margin_db is None else float((true_db[both] >= predicted_db[both] - model.margin_db).mean())
     rank = rank_correlation(predicted_db[both], true_db[both])
@@ -301,14 +303,14 @@ def again(
         psnr = np.mean([row.psnr_db for row in rows])
         holes, cpu_s = 100 * np.mean([row.holes for row in rows]), np.mean([row.cpu_s for row in rows])
         print(f"{arm:<10} {psnr:7.2f} {holes:9.2f} {min(row.clearance_m for row in rows):13.1f} {cpu_s:7.0f}")
-    for other in ARMS[1:]:
-        gain = paired_bootstrap([row.psnr_db for row in by_arm["proposed"]], [row.psnr_db for row in by_arm[other]])
-        print(f"proposed − {other}: {gain.mean:+.2f} dB ({gain.low:+.2f} to {gain.high:+.2f}), at least {gain.at_least:+.2f}")
+    for compared in ARMS[1:]:
+        gain = paired_bootstrap([row.psnr_db for row in by_arm["proposed"]], [row.psnr_db for row in by_arm[compared]])
+        print(f"proposed − {compared}: {gain.mean:+.2f} dB ({gain.low:+.2f} to {gain.high:+.2f}), at least {gain.at_least:+.2f}")
     for _, row in measured:
-        held = "none" if row.rank_held_out is None else f"{row.rank_held_out:.2f}"
+        rank_text = "none" if row.rank_held_out is None else f"{row.rank_held_out:.2f}"
         good = "none" if row.good_true is None else f"{row.good_true:.2f}"
         print(
-            f"seed {row.seed}: {row.facets} facets, rank true {row.rank_true:.2f}, held out {held}, as good as called {good}; "
+            f"seed {row.seed}: {row.facets} facets, rank true {row.rank_true:.2f}, held out {rank_text}, as good as called {good}; "
             f"map {row.map_s:.1f}, proposal {row.proposal_s:.1f} CPU s"
         )
 

@@ -28,7 +28,7 @@ def haze_mask(alpha: ArrayLike, depth: ArrayLike, true_depth: ArrayLike) -> NDAr
     A depth that is not finite is wrong. Raises BadInput for shapes that differ, or a true depth
     that is NaN or not positive.
     """
-    alpha, depth, true_depth = (np.asarray(each, np.float64) for each in (alpha, depth, true_depth))
+    alpha, depth, true_depth = (np.asarray(array, np.float64) for array in (alpha, depth, true_depth))
     _check(true_depth, alpha.shape, depth.shape)
     surface = np.isfinite(true_depth)
     true = np.where(surface, true_depth, 1.0)

@@ -55,7 +55,7 @@ class OffPathFigures:
     def of_kind(self, kind: str) -> OffPathFigures:
         """Of the views whose names begin with `kind`."""
         rows = [row for row, name in enumerate(self.names) if name.startswith(kind)]
-        return OffPathFigures(**{each.name: tuple(getattr(self, each.name)[row] for row in rows) for each in fields(self)})
+        return OffPathFigures(**{field.name: tuple(getattr(self, field.name)[row] for row in rows) for field in fields(self)})
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -103,10 +103,10 @@ class OffPath:
     def score(self, splats: Splats) -> OffPathFigures:
         """The figures of a model in the frame of the scene."""
         errors, shares = [], []
-        for view, photograph, (depth, seen) in zip(render_views(splats, self.cameras), self.photographs, self.truths, strict=True):
+        for view, photograph, (depth, is_seen) in zip(render_views(splats, self.cameras), self.photographs, self.truths, strict=True):
             errors.append(image_errors(view.name, view.image, photograph))
             haze = haze_mask(view.alpha, view.depth, depth)
-            shares.append((haze_share(haze, depth), haze_share(haze, depth, seen)))
+            shares.append((haze_share(haze, depth), haze_share(haze, depth, is_seen)))
         return OffPathFigures(
             names=self.cameras.names,
             psnr_db=tuple(error.psnr_db for error in errors),
@@ -125,14 +125,14 @@ def load_off_path(folder: Path, cameras: Cameras, long_side_px: int) -> OffPath:
     """
     if not (folder / "known").is_dir():
         raise BadInput(f"{folder} holds no known/: give the folder off_path that sample_scenes/generate.py --off-path writes.")
-    known, views = cameras_of(read_model(folder / "known")), cameras_of(read_model(folder))
-    shared = sorted(set(known.names) & set(cameras.names))
+    known_cameras, views = cameras_of(read_model(folder / "known")), cameras_of(read_model(folder))
+    shared = sorted(set(known_cameras.names) & set(cameras.names))
     if len(shared) < 3 or not len(views):
         raise BadInput(f"{folder} has {len(views)} views and shares {len(shared)} cameras with the scene, expected 1 and 3 or more.")
-    known, own = known.named(shared), cameras.named(shared)
-    fit = compare_centers(own.centers, known.centers)
+    known_cameras, scene_cameras = known_cameras.named(shared), cameras.named(shared)
+    fit = compare_centers(scene_cameras.centers, known_cameras.centers)
     scene_from_folder = fit.reference_from_scene.inverse()
-    rotation_deg = largest_turn_deg(scene_from_folder.apply_to_poses(known.cam_from_world), own.cam_from_world)
+    rotation_deg = largest_turn_deg(scene_from_folder.apply_to_poses(known_cameras.cam_from_world), scene_cameras.cam_from_world)
     if not (fit.max_percent <= MAX_CENTER_PERCENT and rotation_deg <= MAX_ROTATION_DEG):
         raise BadInput(
             f"the scene's cameras lie up to {fit.max_percent:.2f} % of the flight's extent and {rotation_deg:.2f}° off those of "
@@ -171,9 +171,9 @@ def off_path_metrics(key: str, figures: Sequence[OffPathFigures]) -> list[Metric
     }
     metrics = []
     for kind in ("", *figures[0].kinds):
-        own = [each.of_kind(kind) for each in figures]
+        of_kind = [one.of_kind(kind) for one in figures]
         for name, (unit, direction) in units.items():
-            means = [mean for each in own if (mean := each.mean(name)) is not None]
+            means = [mean for one in of_kind if (mean := one.mean(name)) is not None]
             if means:
                 label = f"{key}.off_path.{kind}.{name}" if kind else f"{key}.off_path.{name}"
                 metrics.append(Metric(key=label, value=float(np.mean(means)), unit=unit, direction=direction))

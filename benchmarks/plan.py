@@ -178,8 +178,8 @@ def drag_metrics(num_moves: int) -> list[Metric]:
         moves.append(_time_plan(lambda moved=moved: _plan(positions, moved, start=moves[-1][0])))
     weights: list[tuple[CloudPlan, float]] = []
     for shift_m2 in np.linspace(-800, 800, num_moves).tolist():
-        held = PlanConstraints(fixed_weights_m2={before.edge_ids[0]: float(before.weights[0]) + shift_m2})
-        weights.append(_time_plan(lambda held=held: _plan(positions, system, start=before, constraints=held)))
+        constraints = PlanConstraints(fixed_weights_m2={before.edge_ids[0]: float(before.weights[0]) + shift_m2})
+        weights.append(_time_plan(lambda constraints=constraints: _plan(positions, system, start=before, constraints=constraints)))
     key = "plan.2000x64"
     price = max(_over_bound(plan) for plan, _ in weights)
     outside = max(plan.num_outside for plan, _ in weights)

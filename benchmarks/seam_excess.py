@@ -56,9 +56,9 @@ def measure_cells(cells: Sequence[Cell]) -> Iterator[SeamRow]:
     for cell in cells:
         for name in ARMS:
             of = cells[0] if name == UNCUT else cell
-            made = METHODS[name].make(of, METHODS[name].recipe(of))
-            assert made.splats is not None, "all of them are of Gaussians"
-            yield SeamRow(cell=cell.name, arm=name, excess=model_excess(made.splats, cell))
+            model = METHODS[name].make(of, METHODS[name].recipe(of))
+            assert model.splats is not None, "all of them are of Gaussians"
+            yield SeamRow(cell=cell.name, arm=name, excess=model_excess(model.splats, cell))
 
 
 def deal_cells(scene: BenchScene, cache: ModelCache, layout: str, seed: int, num_placements: int) -> list[Cell]:
@@ -96,8 +96,8 @@ def main(
                 typer.echo(row.line)
                 rows.append(row)
     for name in ARMS:
-        told = [row.excess for row in rows if row.arm == name and row.excess.excess_db is not None]
-        typer.echo(f"{name}: found at {sum(bool(excess.has_seam) for excess in told)} of {len(told)}")
+        excesses = [row.excess for row in rows if row.arm == name and row.excess.excess_db is not None]
+        typer.echo(f"{name}: found at {sum(bool(excess.has_seam) for excess in excesses)} of {len(excesses)}")
 
 
 if __name__ == "__main__":

@@ -76,13 +76,13 @@ class _Clock:
     cpu_s: float = field(default_factory=_cpu_s)
     phase: str = "checking photographs"
     phases_s: dict[str, float] = field(default_factory=lambda: defaultdict(float))
-    shown: list[tuple[float, float]] = field(default_factory=list)
+    estimates: list[tuple[float, float]] = field(default_factory=list)
     """Seconds since the beginning, and the time left that was shown."""
 
     def __call__(self, progress: SfmProgress) -> None:
         self.end(progress.phase)
         if progress.left_s is not None:
-            self.shown.append((time.perf_counter() - self.begun_s, progress.left_s))
+            self.estimates.append((time.perf_counter() - self.begun_s, progress.left_s))
 
     def end(self, following: str) -> None:
         """End the current phase where another one follows."""
@@ -94,7 +94,7 @@ class _Clock:
     def left_ratio(self, seconds: float) -> float:
         """What was shown last before a fifth of so many seconds was over, as a share of what was
         left when it was; not a number where nothing had been shown."""
-        before = [(at_s, left_s) for at_s, left_s in self.shown if at_s <= LOOKED_AT * seconds]
+        before = [(at_s, left_s) for at_s, left_s in self.estimates if at_s <= LOOKED_AT * seconds]
         return before[-1][1] / (seconds - before[-1][0]) if before else float("nan")
 
 
@@ -105,12 +105,12 @@ def bench_sfm(scene: Path | None, quick: bool, arms: tuple[str, ...] = ()) -> li
     if unknown := sorted(set(arms) - set(ARMS)):
         raise BadInput(f"sfm has no arm {unknown[0]!r}: use {', '.join(ARMS)}.")
     scene_folder = scene or sample_scenes_folder() / "town"
-    known = _reference(scene_folder)
+    reference = _reference(scene_folder)
     runs: dict[str, list[SfmRun]] = {arm: [] for arm in arms or ARMS}
     for arm in track_items([*runs] * (1 if quick else NUM_RUNS), "bench sfm"):
-        runs[arm].append(_run(scene_folder / "images", _config_of(arm, quick), known))
+        runs[arm].append(_run(scene_folder / "images", _config_of(arm, quick), reference))
     typer.echo(_table(runs))
-    return [metric for arm, done in runs.items() for metric in _metrics(f"sfm.{scene_folder.name}.{arm}", done)]
+    return [metric for arm, arm_runs in runs.items() for metric in _metrics(f"sfm.{scene_folder.name}.{arm}", arm_runs)]
 
 
 def _reference(scene: Path) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
@@ -133,7 +133,7 @@ def _config_of(arm: str, quick: bool) -> SfmConfig:
     return replace(config, max_num_features=QUICK_FEATURES) if quick else config
 
 
-def _run(images: Path, config: SfmConfig, known: tuple[tuple[str, ...], FloatArray, FloatArray]) -> SfmRun:
+def _run(images: Path, config: SfmConfig, reference: tuple[tuple[str, ...], FloatArray, FloatArray]) -> SfmRun:
     from radiant_core.sfm.reconstruct import reconstruct
 
     with TemporaryDirectory(prefix="radiant-bench-sfm-") as work:
@@ -142,8 +142,8 @@ def _run(images: Path, config: SfmConfig, known: tuple[tuple[str, ...], FloatArr
         result = reconstruct(images, Path(work), config, clock)
         seconds = time.perf_counter() - clock.begun_s
     clock.end("")
-    position, rotation_deg = camera_errors(result.scene.cameras, known)
-    extent = float(np.linalg.norm(np.ptp(known[1], axis=0)))
+    position, rotation_deg = camera_errors(result.scene.cameras, reference)
+    extent = float(np.linalg.norm(np.ptp(reference[1], axis=0)))
     return SfmRun(
         seconds=seconds,
         cpu_s=_cpu_s() - start_cpu_s,
@@ -157,19 +157,19 @@ def _run(images: Path, config: SfmConfig, known: tuple[tuple[str, ...], FloatArr
     )
 
 
-def camera_errors(cameras: Cameras, known: tuple[tuple[str, ...], FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+def camera_errors(cameras: Cameras, reference: tuple[tuple[str, ...], FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Errors of position (N,), in the unit of the reference, and rotation (N,) in degrees of those
     cameras that the reference has, after the best robust similarity; not a number without one."""
     from radiant_core.geometry.align import robust_sim3
 
-    names, centers, rotations = known
+    names, centers, rotations = reference
     row_of = {name: row for row, name in enumerate(names)}
-    own = [index for index, name in enumerate(cameras.names) if name in row_of]
-    of_reference = [row_of[cameras.names[index]] for index in own]
-    fit = robust_sim3(cameras.centers[own], centers[of_reference], 0)
+    rows = [index for index, name in enumerate(cameras.names) if name in row_of]
+    of_reference = [row_of[cameras.names[index]] for index in rows]
+    fit = robust_sim3(cameras.centers[rows], centers[of_reference], 0)
     if fit.target_from_source is None:
-        return np.full(len(own), np.nan), np.full(len(own), np.nan)
-    moved = fit.target_from_source.apply_to_poses(cameras.cam_from_world[own])[:, :3, :3]
+        return np.full(len(rows), np.nan), np.full(len(rows), np.nan)
+    moved = fit.target_from_source.apply_to_poses(cameras.cam_from_world[rows])[:, :3, :3]
     return np.asarray(fit.residuals, np.float64), rotation_errors_deg(moved, rotations[of_reference])
 
 
@@ -191,13 +191,13 @@ def _phase_medians(runs: list[SfmRun]) -> dict[str, float]:
 def _table(runs: dict[str, list[SfmRun]]) -> str:
     """One line per arm: CPU seconds of each phase and in all, registered, errors, time left."""
     lines = []
-    for arm, done in runs.items():
-        phases = ", ".join(f"{phase} {seconds:.1f}" for phase, seconds in _phase_medians(done).items())
+    for arm, arm_runs in runs.items():
+        phases = ", ".join(f"{phase} {seconds:.1f}" for phase, seconds in _phase_medians(arm_runs).items())
         lines.append(
-            f"{arm}: {_median(done, 'cpu_s'):.1f} CPU s ({phases}); {_median(done, 'num_registered'):.0f} registered; position "
-            f"{_median(done, 'position_median_m'):.4f} ({_median(done, 'position_median_percent'):.3f} % of the extent, at most "
-            f"{_median(done, 'position_max_percent'):.2f} %), rotation {_median(done, 'rotation_median_deg'):.4f}°; time left shown after "
-            f"a fifth, as a share of what was left: {_median(done, 'left_ratio'):.2f}"
+            f"{arm}: {_median(arm_runs, 'cpu_s'):.1f} CPU s ({phases}); {_median(arm_runs, 'num_registered'):.0f} registered; position "
+            f"{_median(arm_runs, 'position_median_m'):.4f} ({_median(arm_runs, 'position_median_percent'):.3f} % of the extent, at most "
+            f"{_median(arm_runs, 'position_max_percent'):.2f} %), rotation {_median(arm_runs, 'rotation_median_deg'):.4f}°; time left "
+            f"shown after a fifth, as a share of what was left: {_median(arm_runs, 'left_ratio'):.2f}"
         )
     return "\n".join(lines)
 

@@ -71,11 +71,11 @@ class BandwidthTrace:
 
     def sent_s(self, start_s: FloatArray, seconds: FloatArray) -> FloatArray:
         """When what takes `seconds` at full bandwidth has been sent from `start_s` on."""
-        done = np.concatenate([[0.0], np.cumsum(np.diff(self.times_s) * self.shares[:-1])])
+        sent = np.concatenate([[0.0], np.cumsum(np.diff(self.times_s) * self.shares[:-1])])
         at = np.searchsorted(self.times_s, start_s, side="right") - 1
-        target = done[at] + (start_s - self.times_s[at]) * self.shares[at] + seconds
-        end = np.searchsorted(done, target, side="right") - 1
-        return self.times_s[end] + (target - done[end]) / self.shares[end]
+        target = sent[at] + (start_s - self.times_s[at]) * self.shares[at] + seconds
+        end = np.searchsorted(sent, target, side="right") - 1
+        return self.times_s[end] + (target - sent[end]) / self.shares[end]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,8 +99,8 @@ def simulate(fleet: Fleet, trace: BandwidthTrace | None = None) -> Timeline:
     failed = (fleet.fails_s >= fleet.start_s) & (fleet.fails_s < finished)
     finished = np.where(failed, fleet.fails_s + fleet.repair_s + fleet.work_s, finished)
     sending = fleet.model_bytes / fleet.uplink_bytes_per_s
-    done = finished + sending if trace is None else trace.sent_s(finished, sending)
-    arrived = np.where(fleet.dropped, 0.0, done)
+    sent_s = finished + sending if trace is None else trace.sent_s(finished, sending)
+    arrived = np.where(fleet.dropped, 0.0, sent_s)
     first = np.searchsorted(fleet.edge_of_device, np.arange(len(fleet.aggregate_s)))
     ready = np.maximum.reduceat(arrived, first)
     joined_bytes = np.add.reduceat(np.where(fleet.dropped, 0.0, fleet.model_bytes), first)
@@ -108,7 +108,7 @@ def simulate(fleet: Fleet, trace: BandwidthTrace | None = None) -> Timeline:
     joined = ready + fleet.aggregate_s
     sending = joined_bytes / fleet.edge_uplink_bytes_per_s
     edge_done = joined + sending if trace is None else trace.sent_s(joined, sending)
-    return Timeline(device_done_s=np.where(fleet.dropped, np.inf, done), edge_ready_s=ready, edge_done_s=np.where(nobody, 0.0, edge_done))
+    return Timeline(device_done_s=np.where(fleet.dropped, np.inf, sent_s), edge_ready_s=ready, edge_done_s=np.where(nobody, 0.0, edge_done))
 
 
 def fleet_of(system: System, quotas: ArrayLike) -> Fleet:

@@ -133,9 +133,9 @@ class TrainBench:
     """Folder of the rows; rows that exist are not measured again."""
 
     def __post_init__(self) -> None:
-        given = self.presets, self.budgets_s, self.seeds, self.splits
-        if not all(given) or not all(np.isfinite(s) and s > 0 for s in self.budgets_s):
-            presets, budgets_s, seeds, splits = given
+        asked_for = self.presets, self.budgets_s, self.seeds, self.splits
+        if not all(asked_for) or not all(np.isfinite(s) and s > 0 for s in self.budgets_s):
+            presets, budgets_s, seeds, splits = asked_for
             raise BadInput(f"bench train was given {presets}, {budgets_s} s, seeds {seeds} and splits {splits}: give one or more of each.")
 
 
@@ -265,7 +265,7 @@ def curves_of(rows: Sequence[TrainedRow]) -> dict[str, list[CurvePoint]]:
     """The rows by variant, for a picture."""
     curves: dict[str, list[CurvePoint]] = {}
     for row in rows:
-        name = row.variant if len({each.part for each in rows}) == 1 else f"{row.part}: {row.variant}"
+        name = row.variant if len({other_row.part for other_row in rows}) == 1 else f"{row.part}: {row.variant}"
         point = CurvePoint(cpu_s=row.cpu_s, num_gaussians=row.num_gaussians, psnr_db=row.mean_psnr_db)
         curves.setdefault(name, []).append(point)
     return curves
@@ -281,11 +281,11 @@ def _ablations(bench: TrainBench, splits: Sequence[Split]) -> tuple[list[Trained
     rows = [_row(bench.out, *job) for job in track_items(jobs, "bench train")]
     metrics = _alignment_metrics(splits[0])
     for part in parts_of(bench.hold_out):
-        scene, own = name_of(splits[0].source.name, part), [row for row in rows if row.part == part]
-        metrics += [metric for group in _groups(own).values() for metric in _row_metrics(scene, group)]
+        scene, rows_of_part = name_of(splits[0].source.name, part), [row for row in rows if row.part == part]
+        metrics += [metric for group in _groups(rows_of_part).values() for metric in _row_metrics(scene, group)]
         for name in (name for name in variants if name != whole):
             key = f"train.{scene}.{_key(name)}.{budget_s:g}s.over_{whole}"
-            metrics += _difference_metrics(key, own, (name, budget_s), (whole, budget_s))
+            metrics += _difference_metrics(key, rows_of_part, (name, budget_s), (whole, budget_s))
     return rows, metrics
 
 
@@ -312,12 +312,12 @@ def _load(source: Path, work: Path) -> Source:
 def _splits(source: Source, bench: TrainBench) -> list[Split]:
     jobs = list(product(parts_of(bench.hold_out), bench.splits))
     for part, first in jobs:
-        held = mask_of(part, source.scene.cameras, first)
-        if held.all() or held.sum() < 2:
+        is_held_out = mask_of(part, source.scene.cameras, first)
+        if is_held_out.all() or is_held_out.sum() < 2:
             number = bench.splits.index(first)
             then = f": ask for {number} split{'s' * (number > 1)}" if number else ""
             raise BadInput(
-                f"{source.name} has {len(held)} placed photographs, of which split {number + 1} holds out {held.sum()}, "
+                f"{source.name} has {len(is_held_out)} placed photographs, of which split {number + 1} holds out {is_held_out.sum()}, "
                 f"but at least 2 are needed, and some to train on{then}."
             )
     views = None if bench.off_path is None else load_off_path(bench.off_path, source.scene.cameras, bench.long_side_px)
@@ -326,11 +326,11 @@ def _splits(source: Source, bench: TrainBench) -> list[Split]:
 
 def split_source(source: Source, part: HeldPart, first: int, bench: TrainBench, off_path: OffPath | None = None) -> Split:
     """Part `first` of a source held out, as the benchmark asks."""
-    held = mask_of(part, source.scene.cameras, first)
-    trained, most = np.flatnonzero(~held), bench.num_photographs
+    is_held_out = mask_of(part, source.scene.cameras, first)
+    trained, most = np.flatnonzero(~is_held_out), bench.num_photographs
     if most is not None:
         trained = trained[np.unique(np.linspace(0, len(trained) - 1, min(most, len(trained))).astype(np.int64))]
-    training, held_out = (source.scene.restricted_to(part) for part in (trained, np.flatnonzero(held)))
+    training, held_out = (source.scene.restricted_to(part) for part in (trained, np.flatnonzero(is_held_out)))
     return Split(source=source, part=part, first=first, training=training, held_out=held_out, off_path=off_path)
 
 
@@ -341,9 +341,9 @@ def _row(out: Path | None, split: Split, variant: str, config: TrainConfig, budg
     key = content_key(__version__, {"scene": split.training.cameras.names, "config": asdict(config), **views})[:16]
     record = out / "rows" / f"{name_of(split.source.name, split.part)}-{_key(variant)}-{budget_s:g}s-{seed}-{key}.json"
     if record.is_file():
-        own = read_json(record)
-        figures = {name: tuple(own.get(name, ())) for name in ("psnr_db", "psnr_cc_db", "flip")}
-        return TrainedRow(**{**own, **figures, "off_path": figures_of(own.get("off_path"))})
+        stored = read_json(record)
+        figures = {name: tuple(stored.get(name, ())) for name in ("psnr_db", "psnr_cc_db", "flip")}
+        return TrainedRow(**{**stored, **figures, "off_path": figures_of(stored.get("off_path"))})
     row = _train_row(split, variant, config, budget_s, seed)
     record.parent.mkdir(parents=True, exist_ok=True)
     write_json(record, asdict(row))
@@ -393,11 +393,11 @@ def score_model(split: Split, prepared: PreparedTraining, splats: Splats) -> Hel
     scored = split.held_out.cameras.scaled(prepared.config.long_side_px)
     photographs = load_images(split.source.images, scored)
     weights = pixel_weights(split.source.masks, scored)
-    used = [None] * len(photographs) if weights is None else [used_pixels(each) for each in weights]
+    used = [None] * len(photographs) if weights is None else [used_pixels(image_weights) for image_weights in weights]
     renders = [view.image for view in render_views(splats, scored)]
     if (light := _light(split, prepared, splats, scored)) is not None:
         renders = [show_in_light(image, light.held_out, index, scored) for index, image in enumerate(renders)]
-    triples = [(image, photograph / 255, own) for image, photograph, own in zip(renders, photographs, used, strict=True)]
+    triples = [(image, photograph / 255, pixels_used) for image, photograph, pixels_used in zip(renders, photographs, used, strict=True)]
     figures = [_psnrs_db(*triple) for triple in triples]
     return HeldOutFigures(
         psnr_db=tuple(plain for plain, _ in figures),
@@ -454,11 +454,11 @@ def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
     ]
 
 
-def _difference_metrics(key: str, rows: Sequence[TrainedRow], one: tuple[str, float], other: tuple[str, float]) -> list[Metric]:
+def _difference_metrics(key: str, rows: Sequence[TrainedRow], one: tuple[str, float], compared: tuple[str, float]) -> list[Metric]:
     groups = _groups(rows)
     metrics = []
     for figure, mark in (("psnr_db", ""), ("psnr_cc_db", "cc_")):
-        difference = paired_bootstrap(_by_seed_and_image(groups[one], figure), _by_seed_and_image(groups[other], figure))
+        difference = paired_bootstrap(_by_seed_and_image(groups[one], figure), _by_seed_and_image(groups[compared], figure))
         bounds = {"mean_db": difference.mean, "at_least_db": difference.at_least, "low_db": difference.low, "high_db": difference.high}
         metrics += [Metric(key=f"{key}.{mark}{name}", value=value, unit="dB", direction="info") for name, value in bounds.items()]
     return metrics
@@ -468,7 +468,7 @@ def _by_seed_and_image(rows: Sequence[TrainedRow], figure: str) -> FloatArray:
     """A figure (S,I) per seed, over the held-out images of all splits one after the other."""
     seeds = sorted({row.seed for row in rows})
     of_seed = [sorted((row for row in rows if row.seed == seed), key=lambda row: row.split) for seed in seeds]
-    return np.array([np.concatenate([getattr(row, figure) for row in own]) for own in of_seed])
+    return np.array([np.concatenate([getattr(row, figure) for row in rows_of_seed]) for rows_of_seed in of_seed])
 
 
 def _key(variant: str) -> str:

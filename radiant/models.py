@@ -111,11 +111,11 @@ def train(  # noqa: PLR0913
         StageFailed: the training diverges.
     """
     backend = resolve_backend("auto")
-    given = config if isinstance(config, TrainConfig) else train_preset(config)
+    train_config = config if isinstance(config, TrainConfig) else train_preset(config)
     overrides = Overrides(num_steps=num_steps, long_side_px=long_side_px, settings=settings)
     if isinstance(config, TrainConfig):
-        given = replace(given, reduce_on_cpu=False)
-    fitted, _ = fit_to_backend(replace(given, seed=seed), backend, overrides)
+        train_config = replace(train_config, reduce_on_cpu=False)
+    fitted, _ = fit_to_backend(replace(train_config, seed=seed), backend, overrides)
     reporter = EventReporter(stage="train", emit=listen)
     chosen = scene.indices("training") if rows is None else np.asarray(rows, np.int64)
     task = DeviceTask(scene=scene.sfm.restricted_to(chosen), train=fitted, backend=backend)

@@ -119,6 +119,6 @@ def reconstruct(
         StageFailed: too few photographs overlap.
     """
     out = Path(out)
-    given = [None if path is None else Path(path) for path in (masks, poses)]
-    reconstruct_into(out, sfm_task(Path(photographs), SfmConfig(), given[0], Placement(), given[1]), listen)
+    paths = [None if path is None else Path(path) for path in (masks, poses)]
+    reconstruct_into(out, sfm_task(Path(photographs), SfmConfig(), paths[0], Placement(), paths[1]), listen)
     return load_scene(out)

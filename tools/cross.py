@@ -172,9 +172,9 @@ def check(module: Path, system: System) -> None:
     start = module.read_bytes()[:4096]
     offset = int.from_bytes(start[60:64], "little") if system.name == "Windows" else 0
     at, expected = system.machine
-    found = start[offset + at : offset + at + len(expected)]
-    if not start.startswith(system.begins_with) or found != expected:
-        raise SystemExit(f"{module} is not of {system.zig_target}: it begins with {start[:5].hex()} and names processor {found.hex()}.")
+    number = start[offset + at : offset + at + len(expected)]
+    if not start.startswith(system.begins_with) or number != expected:
+        raise SystemExit(f"{module} is not of {system.zig_target}: it begins with {start[:5].hex()} and names processor {number.hex()}.")
 
 
 def build(system: System, folder: Path) -> Path:

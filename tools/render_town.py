@@ -26,18 +26,18 @@ NUM_VIEWS = 3
 MOST_ERROR = 1e-5
 
 
-def render(native: Any, given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def render(native: Any, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Images (C,H,W,3), alphas and depths (C,H,W) of the cameras that are given, by the rasterizer of one native module."""
-    (width, height), count = given["sizes_wh"][0].tolist(), len(given["means"])
-    shape = (len(given["Ks"]), height, width)
-    made = {"images": np.empty((*shape, 3), np.float32), "alphas": np.empty(shape, np.float32), "depths": np.empty(shape, np.float32)}
-    for i, (viewmat, K) in enumerate(zip(given["viewmats"], given["Ks"], strict=True)):
+    (width, height), count = arrays["sizes_wh"][0].tolist(), len(arrays["means"])
+    shape = (len(arrays["Ks"]), height, width)
+    outputs = {"images": np.empty((*shape, 3), np.float32), "alphas": np.empty(shape, np.float32), "depths": np.empty(shape, np.float32)}
+    for i, (viewmat, K) in enumerate(zip(arrays["viewmats"], arrays["Ks"], strict=True)):
         native.RenderedView().forward(
-            "", [given[name] for name in TENSORS], viewmat, K, width, height, int(given["sh_degree"]), 0.01, 1e10, False,
-            np.zeros(3, np.float32), *(made[name][i] for name in OUTPUTS),
+            "", [arrays[name] for name in TENSORS], viewmat, K, width, height, int(arrays["sh_degree"]), 0.01, 1e10, False,
+            np.zeros(3, np.float32), *(outputs[name][i] for name in OUTPUTS),
             np.empty((count, 2), np.float32), np.empty(count, np.float32), False, 1,
         )  # fmt: skip
-    return made
+    return outputs
 
 
 def describe(native: Any) -> str:
@@ -54,9 +54,9 @@ def record(run: Path, file: Path) -> None:
     splats, scene = load_ply(run / "scene.ply"), load_scene(run / "sfm" / "scene.safetensors")
     picked = np.linspace(0, len(scene.cameras) - 1, NUM_VIEWS).astype(np.int64)
     cameras = scene.cameras.select(picked)
-    given = {name: np.ascontiguousarray(array, np.float32) for name, array in splats.arrays().items()}
-    given |= {"viewmats": cameras.cam_from_world, "Ks": cameras.Ks, "sizes_wh": cameras.sizes_wh, "sh_degree": np.array(splats.sh_degree)}
-    np.savez(file, allow_pickle=False, **given, **render(_native, given))
+    arrays = {name: np.ascontiguousarray(array, np.float32) for name, array in splats.arrays().items()}
+    arrays |= {"viewmats": cameras.cam_from_world, "Ks": cameras.Ks, "sizes_wh": cameras.sizes_wh, "sh_degree": np.array(splats.sh_degree)}
+    np.savez(file, allow_pickle=False, **arrays, **render(_native, arrays))
     print(f"{len(splats):,} Gaussians from {', '.join(cameras.names)} on {describe(_native)}: {file}")
 
 
@@ -68,19 +68,19 @@ def replay(module: Path, file: Path) -> None:
     native = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(native)
     with np.load(file) as loaded:
-        given = dict(loaded)
+        arrays = dict(loaded)
     started_s = time.monotonic()
-    made = render(native, given)
+    outputs = render(native, arrays)
     print(f"{describe(native)}: {NUM_VIEWS} views in {time.monotonic() - started_s:.1f} s")
-    differ = [name for name in OUTPUTS if not _agree(name, made[name], given[name])]
+    differ = [name for name in OUTPUTS if not _agree(name, outputs[name], arrays[name])]
     if differ:
         raise SystemExit(f"{' and '.join(differ)} differ by more than {MOST_ERROR:.0e}.")
 
 
-def _agree(name: str, made: np.ndarray, expected: np.ndarray) -> bool:
+def _agree(name: str, rendered: np.ndarray, expected: np.ndarray) -> bool:
     """Whether all values are equal within `MOST_ERROR`; prints by how much they differ."""
-    difference = np.abs(made - expected) / max(1.0, float(expected.max()))
-    beyond, largest, changed = int((~(difference <= MOST_ERROR)).sum()), float(difference.max()), int((made != expected).sum())
+    difference = np.abs(rendered - expected) / max(1.0, float(expected.max()))
+    beyond, largest, changed = int((~(difference <= MOST_ERROR)).sum()), float(difference.max()), int((rendered != expected).sum())
     print(f"  {name}: {changed:,} of {difference.size:,} differ, by {largest:.1e} at most; {beyond} by over {MOST_ERROR:.0e}")
     return beyond == 0
 

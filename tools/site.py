@@ -97,8 +97,8 @@ def index_page(source: Path) -> str:
     tree = ["project/readme", *first, "api", *others]
     parts = [("Using it", tree), ("Experiments", sorted(f"experiments/{path.stem}" for path in (source / "experiments").glob("*.md")))]
     parts.append(("The project", sorted(f"project/{path.stem}" for path in (source / "project").glob("*.md") if path.stem != "readme")))
-    shown = "".join(f"\n```{{toctree}}\n:caption: {title}\n:maxdepth: 1\n\n" + "\n".join(names) + "\n```\n" for title, names in parts)
-    return f"# Radiant\n{shown}\n```{{toctree}}\n:hidden:\n\nREADME\n```\n"
+    toctrees = "".join(f"\n```{{toctree}}\n:caption: {title}\n:maxdepth: 1\n\n" + "\n".join(names) + "\n```\n" for title, names in parts)
+    return f"# Radiant\n{toctrees}\n```{{toctree}}\n:hidden:\n\nREADME\n```\n"
 
 
 def main() -> int:

@@ -41,39 +41,39 @@ def main() -> None:
     parser.add_argument("backend", choices=get_args(Backend))
     parser.add_argument("steps", type=int)
     parser.add_argument("long_side_px", type=int)
-    given = parser.parse_args()
-    config = with_settings(train_preset(given.preset), {"num_steps": given.steps, "long_side_px": given.long_side_px})
-    whole = load_scene(given.scene / "scene.safetensors")
+    arguments = parser.parse_args()
+    config = with_settings(train_preset(arguments.preset), {"num_steps": arguments.steps, "long_side_px": arguments.long_side_px})
+    whole = load_scene(arguments.scene / "scene.safetensors")
     parts = (training_part(whole), whole.restricted_to(np.flatnonzero(held_out_mask(whole.cameras.names))))
-    folder = given.scene / json.loads((given.scene / "result.json").read_text())["images"]
+    folder = arguments.scene / json.loads((arguments.scene / "result.json").read_text())["images"]
     views = []
     for part in parts:
-        cameras = part.cameras.scaled(given.long_side_px)
+        cameras = part.cameras.scaled(arguments.long_side_px)
         views.append(TrainingViews(cameras=cameras, images=load_images(folder, cameras)))
-    training = Training(first_splats(parts[0], views[0], config)[0], views[0], config, FitOptions(backend=given.backend))
+    training = Training(first_splats(parts[0], views[0], config)[0], views[0], config, FitOptions(backend=arguments.backend))
     begun_s = time.monotonic()
     while not training.is_done:
         training.take_step()
-        if training.step == given.steps - STEPS_AFTER:
+        if training.step == arguments.steps - STEPS_AFTER:
             before_s = time.monotonic()
             _print_profile(training)
             begun_s += time.monotonic() - before_s
     seconds = time.monotonic() - begun_s
     result = training.result()
-    shown = render_views(result.splats, views[1].cameras, given.backend)
-    errors = [psnr_db(view.image, image / 255) for view, image in zip(shown, views[1].images, strict=True)]
-    rate = (result.num_steps - (PROFILED_STEPS if given.steps > STEPS_AFTER else 0)) / seconds
+    renders = render_views(result.splats, views[1].cameras, arguments.backend)
+    errors = [psnr_db(view.image, image / 255) for view, image in zip(renders, views[1].images, strict=True)]
+    rate = (result.num_steps - (PROFILED_STEPS if arguments.steps > STEPS_AFTER else 0)) / seconds
     print(f"{rate:.1f} steps/s, {np.mean(errors):.2f} dB held out, {len(result.splats):,} Gaussians, {result.num_rolled_back} not taken")
 
 
 def _print_profile(training: Training) -> None:
-    with profile(activities=[ProfilerActivity.CPU, ProfilerActivity.CUDA]) as found:
+    with profile(activities=[ProfilerActivity.CPU, ProfilerActivity.CUDA]) as profiler:
         for _ in range(PROFILED_STEPS):
             training.take_step()
         if torch.cuda.is_available():
             torch.cuda.synchronize()
     for key in ("self_cpu_time_total", "self_cuda_time_total"):
-        print(found.key_averages().table(sort_by=key, row_limit=20, max_name_column_width=60))
+        print(profiler.key_averages().table(sort_by=key, row_limit=20, max_name_column_width=60))
 
 
 if __name__ == "__main__":

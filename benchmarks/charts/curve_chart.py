@@ -59,11 +59,11 @@ def curve_picture(
 def _spread_labels(values: Sequence[float]) -> list[float]:
     """Return rounded values, the smallest first, with space for labels on a logarithmic axis."""
     rounded = sorted({float(f"{value:.2g}") for value in values})
-    kept = rounded[:1]
+    labels = rounded[:1]
     for value in rounded[1:]:
-        if np.log(value / kept[-1]) > MIN_LABEL_GAP * np.log(max(rounded[-1] / rounded[0], 1.01)):
-            kept.append(value)
-    return kept
+        if np.log(value / labels[-1]) > MIN_LABEL_GAP * np.log(max(rounded[-1] / rounded[0], 1.01)):
+            labels.append(value)
+    return labels
 
 
 def _draw(axes: Axes, points: Sequence[CurvePoint], name: str, label: str, style: CurveStyle) -> None:

@@ -27,22 +27,22 @@ class Healed:
     image: Image
 
 
-def healing_picture(photograph: Image, band: NDArray[np.bool_], shown: Sequence[Healed], title: str, detail: str = "") -> Image:
+def healing_picture(photograph: Image, band: NDArray[np.bool_], healed: Sequence[Healed], title: str, detail: str = "") -> Image:
     """Return the photograph (H,W,3) and the renders, above the band (H,W) and the differences × 3;
     BadInput without renders, or where sizes differ."""
-    if not shown or 0 in photograph.shape:
+    if not healed or 0 in photograph.shape:
         raise BadInput("there is no border to draw: give a photograph and at least one picture of it.")
-    for name, shape in (("the band", (*band.shape, 3)), *((one.caption, one.image.shape) for one in shown)):
+    for name, shape in (("the band", (*band.shape, 3)), *((one.caption, one.image.shape) for one in healed)):
         if shape != photograph.shape:
             raise BadInput(f"{name} is of {shape[1]} × {shape[0]} px, the photograph of {photograph.shape[1]} × {photograph.shape[0]}.")
     cell_h = round(CELL_PX * photograph.shape[0] / photograph.shape[1])
-    width = GAP_PX + (len(shown) + 1) * (CELL_PX + GAP_PX)
+    width = GAP_PX + (len(healed) + 1) * (CELL_PX + GAP_PX)
     height = TOP_PX + 2 * (cell_h + CAPTION_PX) + FOOT_PX
     figure = new_figure((width, height))
     figure.text(GAP_PX / width, 1 - 12 / height, title, size=14, weight="bold", color=INK_COLOR, va="top")
     figure.text(GAP_PX / width, 1 - 38 / height, detail, size=9.5, color=SOFT_COLOR, va="top")
     top = height - TOP_PX - cell_h
-    for column, (caption, image) in enumerate([("Photograph", photograph), *((one.caption, one.image) for one in shown)]):
+    for column, (caption, image) in enumerate([("Photograph", photograph), *((one.caption, one.image) for one in healed)]):
         left = GAP_PX + column * (CELL_PX + GAP_PX)
         axes = axes_at(figure, (left, top, CELL_PX, cell_h))
         _draw(axes, image)

@@ -76,8 +76,8 @@ class RadianceField(nn.Module):
 
     def codes(self, places: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Density (N,), code (N,C) and the penalty of places (N,3)."""
-        found = self.sigma(self.encoding(grid_places(places)))
-        out, penalty = found if isinstance(found, tuple) else (found, found.new_zeros(()))
+        output = self.sigma(self.encoding(grid_places(places)))
+        out, penalty = output if isinstance(output, tuple) else (output, output.new_zeros(()))
         return density_of(out[:, 0]), out[:, 1:], penalty
 
     def densities(self, places: Tensor) -> Tensor:

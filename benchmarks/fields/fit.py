@@ -51,7 +51,7 @@ class FitFieldOptions:
     report_every_s: float = 1.0
     moved: Callable[[Rays], Rays] | None = None
     """Moves the rays of each step, where poses are refined."""
-    beside: tuple[tuple[nn.Parameter, float], ...] = ()
+    extra_parameters: tuple[tuple[nn.Parameter, float], ...] = ()
     """Parameters that are fitted too, each with its own rate at the first step."""
     first_step: int = 0
     """Where rays go on: a later round of the same training draws others."""
@@ -77,8 +77,8 @@ def fit_field(radiance: RadianceField, pixels: PixelRays, config: FitFieldConfig
     """Fit `radiance`, in place, to `pixels`. StageFailed when a loss is not finite."""
     begun_s, reported_s = time.process_time(), time.monotonic()
     radiance.train()
-    own = [(parameter, config.rate) for parameter in radiance.parameters() if parameter.requires_grad]
-    groups = [{"params": [parameter], "lr": rate} for parameter, rate in (*own, *options.beside)]
+    field_parameters = [(parameter, config.rate) for parameter in radiance.parameters() if parameter.requires_grad]
+    groups = [{"params": [parameter], "lr": rate} for parameter, rate in (*field_parameters, *options.extra_parameters)]
     first_rates = [group["lr"] for group in groups]
     adam = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
     losses: list[float] = []
@@ -104,20 +104,20 @@ def fit_field(radiance: RadianceField, pixels: PixelRays, config: FitFieldConfig
 
 def _add_gradients(radiance: RadianceField, pixels: PixelRays, config: FitFieldConfig, options: FitFieldOptions, step: int) -> float:
     """Render a step's rays part by part, add their gradients; the mean squared error."""
-    drawn = np.random.default_rng((config.seed, step)).integers(0, len(pixels), config.rays_a_step)
+    rows = np.random.default_rng((config.seed, step)).integers(0, len(pixels), config.rays_a_step)
     generator = torch.Generator().manual_seed(int(np.random.default_rng((config.seed, step, 1)).integers(2**62)))
     # By view and row, so that the rays of a part read much the same entries of the grid.
-    rays, colors = pixels.batch(np.sort(drawn))
+    rays, colors = pixels.batch(np.sort(rows))
     device = next(radiance.parameters()).device
     rays, colors = rays.to(device), colors.to(device)
     rays = rays if options.moved is None else options.moved(rays)
     error = 0.0
     for start in range(0, len(rays), RAYS_A_PART):
         part = slice(start, start + RAYS_A_PART)
-        own = rays.select(part)
-        rendered = render_rays(radiance, own, config.sampling, generator)
+        part_rays = rays.select(part)
+        rendered = render_rays(radiance, part_rays, config.sampling, generator)
         squared = (rendered.colors - colors[part]).square().sum() / (3 * len(rays))
-        loss: Tensor = squared + rendered.penalty * (len(own) / len(rays))
+        loss: Tensor = squared + rendered.penalty * (len(part_rays) / len(rays))
         # The moved rays' graph is shared by all parts of the step.
         loss.backward(retain_graph=options.moved is not None)
         error += float(squared.detach())

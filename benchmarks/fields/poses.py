@@ -25,9 +25,9 @@ class CameraMoves(nn.Module):
 
     def forward(self, rays: Rays) -> Rays:
         """The rays as the moved cameras see them."""
-        own = self.values[rays.views]
-        turned = turn(own[:, :3], rays.directions)
-        return replace(rays, directions=turned, origins=rays.origins + own[:, 3:])
+        moves = self.values[rays.views]
+        turned = turn(moves[:, :3], rays.directions)
+        return replace(rays, directions=turned, origins=rays.origins + moves[:, 3:])
 
 
 class SharedMove(nn.Module):

@@ -44,11 +44,11 @@ class Rays:
 
     def select(self, rows: Tensor | slice) -> Rays:
         """Some of the rays, by index, mask or range."""
-        return Rays(**{each.name: getattr(self, each.name)[rows] for each in fields(self)})
+        return Rays(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
     def to(self, device: torch.device) -> Rays:
         """The same rays on that device."""
-        return Rays(**{each.name: getattr(self, each.name).to(device) for each in fields(self)})
+        return Rays(**{field.name: getattr(self, field.name).to(device) for field in fields(self)})
 
 
 def rays_of(cameras: Cameras, bounds: FieldBounds, views: NDArray[np.int64], pixels: NDArray[np.int64]) -> Rays:
@@ -97,12 +97,12 @@ class PixelRays:
     @staticmethod
     def of(views: TrainingViews, bounds: FieldBounds) -> PixelRays:
         """All pixels of the views that count."""
-        found = [_counting_pixels(views, view) for view in range(len(views))]
+        counting = [_counting_pixels(views, view) for view in range(len(views))]
         return PixelRays(
             cameras=views.cameras,
             bounds=bounds,
-            pixels=np.concatenate([pixels for pixels, _ in found]),
-            colors=np.concatenate([colors for _, colors in found]),
+            pixels=np.concatenate([pixels for pixels, _ in counting]),
+            colors=np.concatenate([colors for _, colors in counting]),
         )
 
     def batch(self, rows: NDArray[np.int64]) -> tuple[Rays, Tensor]:
@@ -111,9 +111,9 @@ class PixelRays:
         rays = rays_of(self.cameras, self.bounds, chosen[:, 0], chosen[:, 1:])
         return rays, torch.from_numpy(self.colors[rows].astype(np.float32) / 255)
 
-    def select(self, kept: NDArray[np.bool_] | NDArray[np.int64]) -> PixelRays:
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> PixelRays:
         """Some of the pixels, by mask (Q,) or index. BadInput where none is left."""
-        return PixelRays(cameras=self.cameras, bounds=self.bounds, pixels=self.pixels[kept], colors=self.colors[kept])
+        return PixelRays(cameras=self.cameras, bounds=self.bounds, pixels=self.pixels[rows], colors=self.colors[rows])
 
     def of_views(self, views: Sequence[int] | NDArray[np.int64]) -> PixelRays:
         """The pixels of some of the views. BadInput where none is left."""

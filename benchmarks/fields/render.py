@@ -70,11 +70,11 @@ def render_rays(field: Field, rays: Rays, sampling: Sampling = Sampling(), gener
         distances = resample(edges, share, _draw(rays, sampling.num_fine, generator))
     places = _places(rays, distances)
     directions = rays.directions[:, None].expand_as(places)
-    found = field(_flat(places), _flat(directions))
-    fine = blend_weights(found.densities.view(distances.shape), _lengths(distances))
-    colors = (fine[..., None] * found.colors.view(places.shape)).sum(dim=1)
+    samples = field(_flat(places), _flat(directions))
+    fine = blend_weights(samples.densities.view(distances.shape), _lengths(distances))
+    colors = (fine[..., None] * samples.colors.view(places.shape)).sum(dim=1)
     depths = (fine.detach() * distances).sum(dim=1)
-    return Rendered(colors=colors, depths=depths, penalty=found.penalty, places=places, weights=fine)
+    return Rendered(colors=colors, depths=depths, penalty=samples.penalty, places=places, weights=fine)
 
 
 def render_image(field: Field, cameras: Cameras, bounds: FieldBounds, view: int, sampling: Sampling = Sampling()) -> FloatArray:
@@ -99,14 +99,14 @@ def blend_weights(densities: Tensor, lengths: Tensor) -> Tensor:
     return torch.cat([through[:, :-1] * -torch.expm1(-thickness[:, :-1]), through[:, -1:]], dim=1)
 
 
-def resample(edges: Tensor, share: Tensor, drawn: Tensor) -> Tensor:
-    """Distances (R,F), ascending, at the quantiles `drawn` (R,F) of a distribution with so much
+def resample(edges: Tensor, share: Tensor, quantiles: Tensor) -> Tensor:
+    """Distances (R,F), ascending, at `quantiles` (R,F) of a distribution with so much
     `share` (R,B) between neighbouring `edges` (R,B+1)."""
     total = torch.nn.functional.pad(torch.cumsum(share, dim=1), (1, 0))
     total = total / total[:, -1:]
-    right = torch.searchsorted(total, drawn, right=True).clamp(1, edges.shape[1] - 1)
+    right = torch.searchsorted(total, quantiles, right=True).clamp(1, edges.shape[1] - 1)
     low, high = total.gather(1, right - 1), total.gather(1, right)
-    part = ((drawn - low) / (high - low).clamp(min=1e-9)).clamp(0, 1)
+    part = ((quantiles - low) / (high - low).clamp(min=1e-9)).clamp(0, 1)
     start, end = edges.gather(1, right - 1), edges.gather(1, right)
     return start + part * (end - start)
 
@@ -117,10 +117,10 @@ def _spread(rays: Rays, count: int) -> Tensor:
     return rays.near[:, None] * (rays.far / rays.near)[:, None] ** steps
 
 
-def _between(edges: Tensor, drawn: Tensor) -> Tensor:
-    # `drawn` are quantiles of the whole ray: what is left of each is its place in its own bin.
-    count = drawn.shape[1]
-    inside = drawn * count - torch.arange(count, dtype=drawn.dtype, device=drawn.device)
+def _between(edges: Tensor, quantiles: Tensor) -> Tensor:
+    # `quantiles` are quantiles of the whole ray: what is left of each is its place in its own bin.
+    count = quantiles.shape[1]
+    inside = quantiles * count - torch.arange(count, dtype=quantiles.dtype, device=quantiles.device)
     return edges[:, :-1] + inside * edges.diff(dim=1)
 
 

@@ -96,9 +96,9 @@ class KindsBench:
     num_steps: int = 720
 
     def __post_init__(self) -> None:
-        for given, known, what in ((self.kinds, KINDS, "kind of scene"), (self.helpers, {**HELPERS, **ADDED}, "helper")):
-            if unknown := [name for name in given if name not in known]:
-                raise BadInput(f"{what} {unknown[0]!r} is unknown: use {', '.join(known)}.")
+        for names, choices, noun in ((self.kinds, KINDS, "kind of scene"), (self.helpers, {**HELPERS, **ADDED}, "helper")):
+            if unknown := [name for name in names if name not in choices]:
+                raise BadInput(f"{noun} {unknown[0]!r} is unknown: use {', '.join(choices)}.")
         if min(self.numbers) < 9:
             raise BadInput(f"{min(self.numbers)} photographs are asked for, of which at most 1 is held out: ask for 9 or more.")
 
@@ -194,8 +194,8 @@ class _Cell:
             for row in self._measure(arms):
                 records[row.arm].parent.mkdir(parents=True, exist_ok=True)
                 write_json(records[row.arm], asdict(row))
-        read = [read_json(record) for record in records.values()]
-        return [KindRow(**{**own, "psnr_db": tuple(own["psnr_db"]), "psnr_cc_db": tuple(own["psnr_cc_db"])}) for own in read]
+        stored = [read_json(record) for record in records.values()]
+        return [KindRow(**{**record, "psnr_db": tuple(record["psnr_db"]), "psnr_cc_db": tuple(record["psnr_cc_db"])}) for record in stored]
 
     def _measure(self, arms: Mapping[str, TrainConfig]) -> Iterator[KindRow]:
         views, prepared, seconds, recorders = self.views, dict[str, PreparedTraining](), dict[str, float](), dict[str, Recorder]()
@@ -205,12 +205,12 @@ class _Cell:
             prepared[arm] = prepare_training(task, views, recorders[arm])
             seconds[arm] = time.process_time() - begun_s
         # The default's model is kept for those of other arms that are the same.
-        keys = {arm: _key_of_steps(each) for arm, each in prepared.items()}
+        keys = {arm: _key_of_steps(training) for arm, training in prepared.items()}
         models = {arm: self.bench.out / "models" / f"{keys[arm]}.safetensors" for arm in arms}
-        known = {arm: load_splats(models[arm]) for arm in arms if arm != DEFAULT and len(arms) == 1 and models[arm].is_file()}
-        trained = _train_beside({arm: each for arm, each in prepared.items() if arm not in known}, seconds)
+        stored_models = {arm: load_splats(models[arm]) for arm in arms if arm != DEFAULT and len(arms) == 1 and models[arm].is_file()}
+        trained = _train_beside({arm: training for arm, training in prepared.items() if arm not in stored_models}, seconds)
         for arm, config in arms.items():
-            splats = known[arm] if arm in known else trained[arm].splats
+            splats = stored_models[arm] if arm in stored_models else trained[arm].splats
             if arm in trained:
                 report_result(prepared[arm].config, prepared[arm].initial, trained[arm], recorders[arm])
             if arm == DEFAULT:
@@ -238,9 +238,9 @@ def _train_beside(prepared: Mapping[str, PreparedTraining], seconds: dict[str, f
     """The models of trainings that take their steps in turns, some at a time, so that what else a
     machine does slows them alike; adds the CPU seconds of each."""
     results, trainings = dict[str, TrainResult](), dict[str, Training]()
-    for arm, each in prepared.items():
+    for arm, prepared_arm in prepared.items():
         begun_s = time.process_time()
-        trainings[arm] = Training(each.initial, each.views, each.config, each.options)
+        trainings[arm] = Training(prepared_arm.initial, prepared_arm.views, prepared_arm.config, prepared_arm.options)
         seconds[arm] += time.process_time() - begun_s
     while len(results) < len(trainings):
         for arm, training in trainings.items():
@@ -255,7 +255,7 @@ def _train_beside(prepared: Mapping[str, PreparedTraining], seconds: dict[str, f
 
 def _chosen(config: TrainConfig, prepared: TrainConfig) -> dict[str, Any]:
     """The values that settings which were "auto" have in a prepared training."""
-    names = [each.name for each in fields(TrainConfig) if getattr(config, each.name) == "auto"]
+    names = [field.name for field in fields(TrainConfig) if getattr(config, field.name) == "auto"]
     return {name: value for name in names if (value := getattr(prepared, name)) != "auto"}
 
 
@@ -272,10 +272,10 @@ def _key_of_steps(prepared: PreparedTraining) -> str:
 def _metrics(rows: Sequence[KindRow]) -> list[Metric]:
     metrics = []
     for row in rows:
-        if row.arm in (DEFAULT, PLAIN, PLAIN_LONGER) and row.seed == min(each.seed for each in rows):
-            of_arm = [each for each in rows if (each.scene, each.arm) == (row.scene, row.arm)]
+        if row.arm in (DEFAULT, PLAIN, PLAIN_LONGER) and row.seed == min(other_row.seed for other_row in rows):
+            of_arm = [other_row for other_row in rows if (other_row.scene, other_row.arm) == (row.scene, row.arm)]
             for figure, unit in (("psnr_db", "dB"), ("psnr_cc_db", "dB"), ("cpu_s", "s"), ("num_gaussians", "1")):
-                value = float(np.mean([np.mean(getattr(each, figure)) for each in of_arm]))
+                value = float(np.mean([np.mean(getattr(other_row, figure)) for other_row in of_arm]))
                 metrics.append(Metric(key=f"kinds.{row.scene}.{row.arm}.{figure}", value=value, unit=unit, direction="info"))
     for gain in gains_of(rows):
         key = f"kinds.{gain.kind}-{gain.num_photographs}.gain.{_key(gain.helper)}"
@@ -299,7 +299,7 @@ def write_tables(bench: KindsBench, rows: Sequence[KindRow]) -> None:
 
 def _plain(gain: Gain) -> dict[str, Any]:
     differences = {name: getattr(gain, name) for name in ("psnr_db", "psnr_cc_db")}
-    bounds = {name: {"mean": each.mean, "low": each.low, "high": each.high} for name, each in differences.items()}
+    bounds = {name: {"mean": difference.mean, "low": difference.low, "high": difference.high} for name, difference in differences.items()}
     return {**{name: getattr(gain, name) for name in ("kind", "num_photographs", "helper", "cpu_s", "acts")}, **bounds}
 
 
@@ -316,10 +316,10 @@ def markdown(rows: Sequence[KindRow]) -> str:
     for scene in scenes:
         if (scene, PLAIN) in gains:
             both = [[row for row in rows if (row.scene, row.arm) == (scene, arm)] for arm in (DEFAULT, PLAIN)]
-            means = [f"{np.mean([np.mean(row.psnr_db) for row in own]):.2f}" for own in both]
+            means = [f"{np.mean([np.mean(row.psnr_db) for row in arm_rows]):.2f}" for arm_rows in both]
             costs = (
-                " / ".join(f"{np.mean([row.cpu_s for row in own]):.1f}" for own in both),
-                " / ".join(f"{np.mean([row.num_gaussians for row in own]):,.0f}" for own in both),
+                " / ".join(f"{np.mean([row.cpu_s for row in arm_rows]):.1f}" for arm_rows in both),
+                " / ".join(f"{np.mean([row.num_gaussians for row in arm_rows]):,.0f}" for arm_rows in both),
             )
             gain = gains[scene, PLAIN]
             longer = gains.get((scene, PLAIN_LONGER))
@@ -365,7 +365,7 @@ def bench_of(options: BenchOptions) -> KindsBench:
     steps."""
     assert options.out is not None, "checked with the options"
     some = QUICK if options.quick else {}
-    given = {
+    overrides = {
         "kinds": options.kinds,
         "numbers": None if options.num_photographs is None else (options.num_photographs,),
         "helpers": options.methods,
@@ -373,4 +373,4 @@ def bench_of(options: BenchOptions) -> KindsBench:
         "long_side_px": options.long_side_px,
         "num_steps": options.num_steps,
     }
-    return KindsBench(out=options.out, **{**some, **{name: value for name, value in given.items() if value}})
+    return KindsBench(out=options.out, **{**some, **{name: value for name, value in overrides.items() if value}})

@@ -121,11 +121,11 @@ def pairs_of(rows: Sequence[KindRow]) -> Iterator[Pair]:
     groups: dict[tuple[str, str], dict[int, KindRow]] = {}
     for row in rows:
         groups.setdefault((row.scene, row.arm), {})[row.seed] = row
-    for (scene, arm), own in groups.items():
+    for (scene, arm), by_seed in groups.items():
         default = groups.get((scene, DEFAULT), {})
-        seeds = sorted(own.keys() & default.keys())
+        seeds = sorted(by_seed.keys() & default.keys())
         if arm != DEFAULT and seeds:
-            sides = [default[seed] for seed in seeds], [own[seed] for seed in seeds]
+            sides = [default[seed] for seed in seeds], [by_seed[seed] for seed in seeds]
             with_it, without = sides[::-1] if arm in ADDED else sides
             yield Pair(helper=arm, with_it=with_it, without=without)
 
@@ -147,10 +147,10 @@ def differences_over_scenes(rows: Sequence[KindRow]) -> dict[str, PairedDifferen
 
 def pairs_by_helper(rows: Sequence[KindRow]) -> dict[str, list[Pair]]:
     """The pairs of all scenes by the helper."""
-    found: dict[str, list[Pair]] = {}
+    pairs: dict[str, list[Pair]] = {}
     for pair in pairs_of(rows):
-        found.setdefault(pair.helper, []).append(pair)
-    return found
+        pairs.setdefault(pair.helper, []).append(pair)
+    return pairs
 
 
 def cases_of(rows: Sequence[KindRow]) -> list[Case]:

@@ -80,13 +80,13 @@ def make_scene(out: Path, kind: str, num_photographs: int, long_side_px: int) ->
         return project
     project.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".partial-", dir=project.parent) as temporary:
-        made = Path(temporary) / "made"
-        _generate(made, [*KINDS[kind].switches(num_photographs), *_size(num_photographs, long_side_px)])
-        (made / "sparse").mkdir()
-        (made / "known").rename(made / "sparse" / "0")
+        scene = Path(temporary) / "made"
+        _generate(scene, [*KINDS[kind].switches(num_photographs), *_size(num_photographs, long_side_px)])
+        (scene / "sparse").mkdir()
+        (scene / "known").rename(scene / "sparse" / "0")
         # A call beside this one may have been faster.
         if not project.is_dir():
-            shutil.move(made, project)
+            shutil.move(scene, project)
     return project
 
 

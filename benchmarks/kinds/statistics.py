@@ -49,7 +49,7 @@ def statistics_of(scene: SfmScene, views: TrainingViews) -> dict[str, float]:
     left out."""
     filled, lights, sharpness = fill_in_points(scene, views), lights_from_tracks(scene, views), relative_sharpness(scene, views)
     distance = viewing_distance(views.cameras, scene.points)
-    found = {
+    statistics = {
         "contradicted %": 100 * contradicted_share(filled, views),
         "seen through %": 100 * filled.seen_through_share,
         "spread %": 100 * lights.spread,
@@ -59,7 +59,7 @@ def statistics_of(scene: SfmScene, views: TrainingViews) -> dict[str, float]:
         "least sharp %": 100 * float(np.nanmin(sharpness)) if np.isfinite(sharpness).any() else np.nan,
         "photographs": float(len(views)),
     }
-    return {name: float(value) for name, value in found.items() if np.isfinite(value)}
+    return {name: float(value) for name, value in statistics.items() if np.isfinite(value)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,9 +96,9 @@ def statistics_tables(cases: Sequence[Case]) -> list[str]:
                 lines.append(_line(helper, ", ".join(names), "on" if is_on else "off", str(len(some)), *counts, f"{mean:+.2f}"))
     lines += ["", _line("helper", "scene", "statistics", "decided", "gain", "verdict"), "|---" * 6 + "|"]
     for case in sorted(cases, key=lambda case: (list(STATISTICS).index(case.helper), case.scene)):
-        known = [f"{case.statistics[name]:.3g} {name}" for name in STATISTICS[case.helper] if name in case.statistics]
+        texts = [f"{case.statistics[name]:.3g} {name}" for name in STATISTICS[case.helper] if name in case.statistics]
         bounds = f"{case.gain.mean:+.2f} ({case.gain.low:+.2f} … {case.gain.high:+.2f})"
-        lines.append(_line(case.helper, case.scene, ", ".join(known), "on" if case.is_on else "off", bounds, case.verdict))
+        lines.append(_line(case.helper, case.scene, ", ".join(texts), "on" if case.is_on else "off", bounds, case.verdict))
     return lines
 
 

@@ -58,7 +58,7 @@ class Round:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Made:
+class ArmModel:
     """What an arm made of a cell, and its work beside the device models."""
 
     splats: Splats | None = None
@@ -84,7 +84,7 @@ class Arm:
     """One way of making a model of a cell by a recipe."""
 
     name: str
-    make: Callable[[Cell, Recipe], Made]
+    make: Callable[[Cell, Recipe], ArmModel]
     recipe: Callable[[Cell], Recipe] = lambda cell: cell.recipe
     settings: Any = None
     """What decides the model beside the recipe; part of its key in the cache."""
@@ -194,8 +194,8 @@ class Arms:
         model = self.model_file(cell, arm)
         reduced = "" if max_gaussians is None else f".{max_gaussians}"
         record = model.with_suffix(f"{reduced}.off_path-{views.key[:16]}.json")
-        if record.is_file() and (known := figures_of(read_json(record))) is not None:
-            return known
+        if record.is_file() and (stored := figures_of(read_json(record))) is not None:
+            return stored
         splats = load_splats(model)
         figures = views.score(splats if max_gaussians is None else select_strongest(splats, self.scene.views.cameras, max_gaussians))
         write_json(record, asdict(figures))
@@ -208,17 +208,17 @@ class Arms:
             row = _row_of(read_json(record))
             return row if row.times else replace(row, times=scene_times(cell.recipe.system, row.nodes, {}))
         if max_gaussians is None:
-            made = arm.make(cell, arm.recipe(cell))
+            arm_model = arm.make(cell, arm.recipe(cell))
             model.parent.mkdir(parents=True, exist_ok=True)
-            if made.splats is not None:
-                save_splats(model, made.splats)
+            if arm_model.splats is not None:
+                save_splats(model, arm_model.splats)
             else:
-                save_arrays(model, VIEWS_SCHEMA, {f"{i:04d}": _in_bytes(image) for i, image in enumerate(made.images)}, {})
+                save_arrays(model, VIEWS_SCHEMA, {f"{i:04d}": _in_bytes(image) for i, image in enumerate(arm_model.images)}, {})
         else:
             whole = self._row(cell, arm, None)
             splats = select_strongest(load_splats(model), self.scene.views.cameras, max_gaussians)
-            made = Made(splats=splats, cpu_s=whole.cpu_s, training_px=whole.training_px, nodes=whole.nodes, times=whole.times)
-        row = self._score(cell, arm, made)
+            arm_model = ArmModel(splats=splats, cpu_s=whole.cpu_s, training_px=whole.training_px, nodes=whole.nodes, times=whole.times)
+        row = self._score(cell, arm, arm_model)
         write_json(record, {name: value for name, value in asdict(row).items() if name != "off_path"})
         return row
 
@@ -232,8 +232,8 @@ class Arms:
         if arm.of_gaussians:
             return [view.image.astype(np.float64) for view in self.views(cell, arm)]
         self.row(cell, arm)
-        kept, _ = load_arrays(self.model_file(cell, arm), VIEWS_SCHEMA, None)
-        return [kept[name] / 255 for name in sorted(kept)]
+        arrays, _ = load_arrays(self.model_file(cell, arm), VIEWS_SCHEMA, None)
+        return [arrays[name] / 255 for name in sorted(arrays)]
 
     def _renders(self, splats: Splats, cell: Cell) -> list[RenderedView]:
         """A model at the held-out cameras, in the light that is predicted of the photographs."""
@@ -241,8 +241,8 @@ class Arms:
         views = list(render_views(splats, cameras))
         if (light := light_of_score(splats, scene.views, cameras, scene.captures, cell.recipe.train.light)) is None:
             return views
-        shown = enumerate(views)
-        return [replace(view, image=show_in_light(view.image, light.held_out, index, cameras)) for index, view in shown]
+        numbered = enumerate(views)
+        return [replace(view, image=show_in_light(view.image, light.held_out, index, cameras)) for index, view in numbered]
 
     @cached_property
     def photographs(self) -> list[FloatArray]:
@@ -260,8 +260,8 @@ class Arms:
         views = render_views(self.first.centralised_model.splats, self.scene.held_out_views.cameras)
         return [np.where(view.alpha >= OPAQUE, view.depth, 0) for view in views]
 
-    def _score(self, cell: Cell, arm: Arm, made: Made) -> ArmRow:
-        images = list(made.images) if made.splats is None else [view.image for view in self._renders(made.splats, cell)]
+    def _score(self, cell: Cell, arm: Arm, model: ArmModel) -> ArmRow:
+        images = list(model.images) if model.splats is None else [view.image for view in self._renders(model.splats, cell)]
         pairs = list(zip(images, self.photographs, strict=True))
         error = band_and_interior_psnr_db(images, self.photographs, self.masks(cell))
         return ArmRow(
@@ -273,16 +273,16 @@ class Arms:
             ssim=tuple(ssim(image, photograph) for image, photograph in pairs),
             flip=tuple(flip(image, photograph) for image, photograph in pairs),
             psnr_cc_db=tuple(psnr_db(correct_colors(image, photograph), photograph) for image, photograph in pairs),
-            num_gaussians=0 if made.splats is None else len(made.splats),
-            cpu_s=made.cpu_s,
-            training_px=made.training_px,
+            num_gaussians=0 if model.splats is None else len(model.splats),
+            cpu_s=model.cpu_s,
+            training_px=model.training_px,
             band_db=error.seam_psnr_db,
             interior_db=error.interior_psnr_db,
             num_band_images=error.num_band_images,
-            nodes=made.nodes,
-            times=made.times or scene_times(cell.recipe.system, made.nodes, made.groups),
-            num_parameters=made.num_parameters,
-            rounds=made.rounds,
+            nodes=model.nodes,
+            times=model.times or scene_times(cell.recipe.system, model.nodes, model.groups),
+            num_parameters=model.num_parameters,
+            rounds=model.rounds,
         )
 
     def model_file(self, cell: Cell, arm: Arm) -> Path:

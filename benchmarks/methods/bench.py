@@ -38,7 +38,7 @@ import numpy as np
 
 from benchmarks.charts.curve_chart import CurvePoint
 from benchmarks.hold_out import parts_of
-from benchmarks.methods.arms import Arm, ArmRow, Arms, Made, load_arms
+from benchmarks.methods.arms import Arm, ArmModel, ArmRow, Arms, load_arms
 from benchmarks.methods.cells import Cell, Layout, Train, bench_settings
 from benchmarks.methods.comparing import comparisons
 from benchmarks.methods.emulated_latency import NodeClock, NodeWork, joining_s
@@ -135,7 +135,7 @@ def _cells(arms: Arms, bench: MethodBench) -> list[Cell]:
     return [arms.first, *(arms.cell(bench.layout, seed, placement=placement) for placement, seed in spread[1:])]
 
 
-def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
+def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> ArmModel:
     """The scene of a run by this recipe, its devices' models from the cache or from `train`."""
     models, scene = cell.train_devices(recipe, train), cell.scene
     clock, begun_s = NodeClock(), time.process_time()
@@ -149,23 +149,27 @@ def join(cell: Cell, recipe: Recipe, train: Train | None = None) -> Made:
     cpu_s, seconds = time.process_time() - begun_s, clock.seconds()
     if run.scene.splats is None:
         raise StageFailed(f"{cell.name}: every model was refused: {'; '.join(run.scene.refused.values())}")
-    own = scene.training.cameras
-    shown = [(run.edges[plan.edge_id].summary, own.select(plan.camera_indices)) for plan in recipe.edge_plans if plan.edge_id in run.edges]
-    shown.append((run.scene.summary, concatenate_cameras([edge.cameras for edge in run.edges.values()])))
+    cameras_of_scene = scene.training.cameras
+    summaries = [
+        (run.edges[plan.edge_id].summary, cameras_of_scene.select(plan.camera_indices))
+        for plan in recipe.edge_plans
+        if plan.edge_id in run.edges
+    ]
+    summaries.append((run.scene.summary, concatenate_cameras([edge.cameras for edge in run.edges.values()])))
     pixels = [
         summary["num_steps"] * cameras.scaled(recipe.train.long_side_px).sizes_wh.prod(axis=1).mean()
-        for summary, cameras in shown
+        for summary, cameras in summaries
         if summary.get("num_steps")
     ]
     edges = [(f"edges/{name}", edge) for name, edge in run.edges.items()]
     joins = [NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=sent_bytes(edge, recipe.upload)) for stage, edge in edges]
     refined = [
-        NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=refinement_bytes(each, run.scene.splats, recipe.upload))
-        for stage, each in run.refinements.items()
+        NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=refinement_bytes(refinement, run.scene.splats, recipe.upload))
+        for stage, refinement in run.refinements.items()
     ]
     clouds = [NodeWork(stage=stage, cpu_s=spent_s) for stage, spent_s in seconds.items() if refines_for(stage) == "cloud"]
     nodes = (*_trainings(models, recipe), *joins, *refined, *comparisons(cell, recipe, run), *clouds)
-    return Made(splats=run.scene.splats, cpu_s=cpu_s, training_px=float(sum(pixels)), nodes=nodes)
+    return ArmModel(splats=run.scene.splats, cpu_s=cpu_s, training_px=float(sum(pixels)), nodes=nodes)
 
 
 def _trainings(models: Mapping[str, DeviceModel], recipe: Recipe) -> list[NodeWork]:
@@ -185,23 +189,23 @@ def _as_received(models: Mapping[str, DeviceModel], recipe: Recipe) -> list[Devi
     return [model for model in arrived if isinstance(model, DeviceModel)]
 
 
-def _time_work(work: Callable[[], tuple[Splats, float]]) -> Made:
+def _time_work(work: Callable[[], tuple[Splats, float]]) -> ArmModel:
     begun_s = time.process_time()
     splats, pixels = work()
-    return Made(splats=splats, cpu_s=time.process_time() - begun_s, training_px=pixels)
+    return ArmModel(splats=splats, cpu_s=time.process_time() - begun_s, training_px=pixels)
 
 
-def _sum_trainings(splats: Splats, models: Sequence[DeviceModel]) -> Made:
+def _sum_trainings(splats: Splats, models: Sequence[DeviceModel]) -> ArmModel:
     cpu_s, training_px = (float(sum(model.summary[name] for model in models)) for name in ("cpu_s", "training_px"))
-    return Made(splats=splats, cpu_s=cpu_s, training_px=training_px)
+    return ArmModel(splats=splats, cpu_s=cpu_s, training_px=training_px)
 
 
-def _make_centralised_model(cell: Cell, recipe: Recipe) -> Made:
+def _make_centralised_model(cell: Cell, recipe: Recipe) -> ArmModel:
     del recipe
     return _sum_trainings(cell.centralised_model.splats, [cell.centralised_model])
 
 
-def _make_model_of_one_device(cell: Cell, recipe: Recipe) -> Made:
+def _make_model_of_one_device(cell: Cell, recipe: Recipe) -> ArmModel:
     del recipe
     num_steps = round(np.mean([int(model.summary["num_steps"]) for model in cell.devices.values()]))
     model = cell.model_of(cell.scene.training, num_steps=num_steps, max_epochs=None)
@@ -216,7 +220,7 @@ def _claims(cell: Cell, recipe: Recipe) -> Claims:
     return claims
 
 
-def _crop(cell: Cell, recipe: Recipe) -> Made:
+def _crop(cell: Cell, recipe: Recipe) -> ArmModel:
     models = [model.splats for model in _receive_models(cell, recipe)]
     claims = _claims(cell, recipe)
 
@@ -228,7 +232,7 @@ def _crop(cell: Cell, recipe: Recipe) -> Made:
     return _time_work(work)
 
 
-def _on_photographs(cell: Cell, recipe: Recipe) -> Made:
+def _on_photographs(cell: Cell, recipe: Recipe) -> ArmModel:
     models = concatenate_splats([model.splats for model in _receive_models(cell, recipe)])
     views = cell.scene.views
     num_steps = NUM_EPOCHS_OF_PHOTOGRAPHS * len(views)
@@ -237,7 +241,7 @@ def _on_photographs(cell: Cell, recipe: Recipe) -> Made:
     return _time_work(lambda: (fit_splats(models, views, config, options).splats, training_pixels(views.cameras, config, num_steps)))
 
 
-def _vast_gaussian(cell: Cell, recipe: Recipe) -> Made:
+def _vast_gaussian(cell: Cell, recipe: Recipe) -> ArmModel:
     trained: list[DeviceModel] = []
 
     def train(part: Any, seed: int) -> Splats:
@@ -249,7 +253,7 @@ def _vast_gaussian(cell: Cell, recipe: Recipe) -> Made:
     return _sum_trainings(result.splats, trained)
 
 
-def join_at_server(cell: Cell, recipe: Recipe) -> Made:
+def join_at_server(cell: Cell, recipe: Recipe) -> ArmModel:
     """The recipe's device models, taken in one after another by Fed3DGS."""
     trained = cell.train_devices(recipe)
     models = _as_received(trained, recipe)
@@ -267,7 +271,7 @@ def join_at_server(cell: Cell, recipe: Recipe) -> Made:
     names = [list(trained)[client] for client in result.merged]
     spent_s = [0.0, *np.diff(marks_s)]
     merges = [NodeWork(stage=f"cloud/{name}", cpu_s=float(cpu_s)) for name, cpu_s in zip(names, spent_s, strict=True)]
-    return Made(
+    return ArmModel(
         splats=result.splats,
         cpu_s=marks_s[-1] - marks_s[0],
         training_px=result.num_training_pixels,
@@ -275,7 +279,7 @@ def join_at_server(cell: Cell, recipe: Recipe) -> Made:
     )
 
 
-def _join_at_once(cell: Cell, recipe: Recipe) -> Made:
+def _join_at_once(cell: Cell, recipe: Recipe) -> ArmModel:
     models = _receive_models(cell, recipe)
     teachers = [Teacher(splats=model.splats, cameras=model.cameras) for model in models]
     claims = _claims(cell, recipe)
@@ -290,11 +294,11 @@ def _join_at_once(cell: Cell, recipe: Recipe) -> Made:
     return _time_work(work)
 
 
-def _own_arm(name: str, make: Callable[[Cell, Recipe], Made] = join, **changes: Any) -> Arm:
+def _own_arm(name: str, make: Callable[[Cell, Recipe], ArmModel] = join, **changes: Any) -> Arm:
     return Arm(name=name, make=make, recipe=lambda cell: replace(cell.recipe, aggregate=replace(cell.recipe.aggregate, **changes)))
 
 
-def _paper_arm(name: str, make: Callable[[Cell, Recipe], Made] = join, **changes: Any) -> Arm:
+def _paper_arm(name: str, make: Callable[[Cell, Recipe], ArmModel] = join, **changes: Any) -> Arm:
     aggregate = replace(aggregate_preset("paper"), **changes)
     return Arm(name=name, make=make, recipe=lambda cell: replace(cell.recipe, aggregate=aggregate))
 
@@ -345,13 +349,13 @@ def methods_table(rows: Sequence[ArmRow]) -> str:
         names = ("mean_psnr_db", "num_gaussians", "num_parameters", "cpu_s", "training_px")
         means = {name: float(np.mean([getattr(row, name) for row in group])) for name in names}
         at_once = f"{np.mean([joining_s(row.nodes) for row in group]):.0f}" if all(row.nodes for row in group) else "–"
-        flip = "–" if (known := mean_of_all(group, "flip")) is None else f"{known:.4f}"
-        corrected = "–" if (known := mean_of_all(group, "psnr_cc_db")) is None else f"{known:.2f}"
+        flip = "–" if (mean := mean_of_all(group, "flip")) is None else f"{mean:.4f}"
+        corrected = "–" if (mean := mean_of_all(group, "psnr_cc_db")) is None else f"{mean:.2f}"
         size = size_text(means["num_gaussians"], means["num_parameters"])
         lines.append(
             f"| {scene} | {method} | {means['mean_psnr_db']:.2f} | {corrected} | {flip} | {seam} | {size} |"
             f" {means['cpu_s']:.0f} | {at_once} | {means['training_px'] / 1e6:.0f} |"
-            + "".join(f" {'–' if (known := scene_s_at(group, link)) is None else format(known, '.1f')} |" for link in LINKS)
+            + "".join(f" {'–' if (mean := scene_s_at(group, link)) is None else format(mean, '.1f')} |" for link in LINKS)
         )
         lines += rounds_lines(method, group)
     return "\n".join(lines)
@@ -359,14 +363,14 @@ def methods_table(rows: Sequence[ArmRow]) -> str:
 
 def mean_of_all(rows: Sequence[ArmRow], figure: Literal["flip", "psnr_cc_db"]) -> float | None:
     """A figure over all photographs of the rows; None where one of them has none."""
-    known = [value for row in rows for value in getattr(row, figure) if value is not None]
-    return float(np.mean(known)) if known and len(known) == sum(len(row.psnr_db) for row in rows) else None
+    values = [value for row in rows for value in getattr(row, figure) if value is not None]
+    return float(np.mean(values)) if values and len(values) == sum(len(row.psnr_db) for row in rows) else None
 
 
 def scene_s_at(rows: Sequence[ArmRow], link: Link) -> float | None:
     """Mean seconds until the scene is done over such links; None where a row does not say it."""
-    known = [time.scene_s for row in rows for time in row.times if time.link == str(link)]
-    return float(np.mean(known)) if known and len(known) == len(rows) else None
+    seconds = [time.scene_s for row in rows for time in row.times if time.link == str(link)]
+    return float(np.mean(seconds)) if seconds and len(seconds) == len(rows) else None
 
 
 def size_text(num_gaussians: float, num_parameters: float) -> str:
@@ -377,10 +381,10 @@ def size_text(num_gaussians: float, num_parameters: float) -> str:
 def rounds_lines(method: str, rows: Sequence[ArmRow]) -> list[str]:
     """A line per round of federated learning: what all clients sent up in it, PSNR after it."""
     lines = []
-    for number, same in enumerate(zip(*(row.rounds for row in rows), strict=True), 1):
-        sent_mb = float(np.mean([one.sent_bytes for one in same])) / 1e6
-        known = [one.psnr_db for one in same if one.psnr_db is not None]
-        psnr = f"{np.mean(known):.2f}" if known else "not scored"
+    for number, round_of_rows in enumerate(zip(*(row.rounds for row in rows), strict=True), 1):
+        sent_mb = float(np.mean([one.sent_bytes for one in round_of_rows])) / 1e6
+        psnr_db = [one.psnr_db for one in round_of_rows if one.psnr_db is not None]
+        psnr = f"{np.mean(psnr_db):.2f}" if psnr_db else "not scored"
         lines.append(f"| | {method}, round {number} | {psnr} | | | | {sent_mb:.1f} MB sent | | | |")
     return lines
 
@@ -396,7 +400,7 @@ def curves_of(rows: Sequence[ArmRow]) -> dict[str, list[CurvePoint]]:
     curves: dict[str, list[CurvePoint]] = {}
     for row in (row for row in rows if row.num_gaussians):
         point = CurvePoint(cpu_s=max(row.cpu_s, 0.1), num_gaussians=row.num_gaussians, psnr_db=row.mean_psnr_db)
-        name = row.arm if len({each.scene for each in rows}) == 1 else f"{row.scene}: {row.arm}"
+        name = row.arm if len({other_row.scene for other_row in rows}) == 1 else f"{row.scene}: {row.arm}"
         curves.setdefault(name, []).append(point)
     return curves
 
@@ -441,7 +445,7 @@ def _differences(key: str, rows: Sequence[ArmRow], others: Sequence[ArmRow]) -> 
     with colours corrected under `cc`, where all rows have them."""
     metrics: list[Metric] = []
     for prefix, figure in (("", "psnr_db"), ("cc_", "psnr_cc_db")):
-        figures_of_rows, reference = ([getattr(row, figure) for row in each] for each in (rows, others))
+        figures_of_rows, reference = ([getattr(row, figure) for row in group] for group in (rows, others))
         if not all(map(len, (*figures_of_rows, *reference))):
             continue
         difference = paired_bootstrap(np.array(figures_of_rows), np.array(reference))

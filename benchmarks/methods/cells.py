@@ -159,15 +159,15 @@ class BenchScene:
 def load_bench_scene(source: Path, long_side_px: int, cut_by: CutBy = "auto", part: HeldPart = "interleaved") -> BenchScene:
     """A run, a folder of `radiant sfm` or a COLMAP project; BadInput if none can be held out."""
     scene, _, images = load_scored_scene(source)
-    held = mask_of(part, scene.cameras)
-    if held.sum() < 2 or (~held).sum() < MIN_TRAINED:
-        counts = f"{len(scene.cameras)} placed photographs, of which {held.sum()} are held out"
+    is_held_out = mask_of(part, scene.cameras)
+    if is_held_out.sum() < 2 or (~is_held_out).sum() < MIN_TRAINED:
+        counts = f"{len(scene.cameras)} placed photographs, of which {is_held_out.sum()} are held out"
         raise BadInput(f"{source} has {counts}: at least 2 are held out and {MIN_TRAINED} trained on.")
     resolved = source.resolve()
     return BenchScene(
         name=name_of(resolved.parent.name if resolved.name in ("images", "sfm") else resolved.name, part),
-        training=scene.restricted_to(np.flatnonzero(~held)),
-        held_out=scene.restricted_to(np.flatnonzero(held)),
+        training=scene.restricted_to(np.flatnonzero(~is_held_out)),
+        held_out=scene.restricted_to(np.flatnonzero(is_held_out)),
         images=images,
         masks=masks_folder_of(source),
         long_side_px=long_side_px,
@@ -194,10 +194,10 @@ class ModelCache:
             begun_s = time.process_time()
             prepared = prepare_training(task, views, reporter)
             result = fit_prepared(prepared, reporter)
-            made = device_model(prepared, result)
+            trained = device_model(prepared, result)
             pixels = training_pixels(prepared.views.cameras, prepared.config, result.num_steps)
-            save_splats(model, made.splats)
-            write_json(record, {**made.summary, "cpu_s": time.process_time() - begun_s, "training_px": pixels})
+            save_splats(model, trained.splats)
+            write_json(record, {**trained.summary, "cpu_s": time.process_time() - begun_s, "training_px": pixels})
         return DeviceModel(splats=load_splats(model), cameras=task.scene.cameras, summary=read_json(record))
 
 
@@ -219,7 +219,7 @@ class Cell:
         """The recipe with equally many photographs per device."""
         first = self.recipe.system.devices[0]
         alike = {name: getattr(first, name) for name in ("init_s", "train_s", "model_bytes", "uplink_bytes_per_s")}
-        edges = [replace(e, devices=tuple(replace(own, **alike) for own in e.devices)) for e in self.recipe.system.edges]
+        edges = [replace(e, devices=tuple(replace(device, **alike) for device in e.devices)) for e in self.recipe.system.edges]
         system = replace(self.recipe.system, edges=tuple(edges))
         return self.recipe.with_plan(*self._make_plan(system, "even"))
 
@@ -231,10 +231,10 @@ class Cell:
         """By the same places and edges as the cell's own plan."""
         plan = self.recipe.cloud_plan
         places = plan.places_of(self.scene.training.cameras.centers[:, :2])
-        made = plan_by(method, places, system)
-        if isinstance(made, PlanInfeasible):
-            raise BadInput(f"{self.name}: {made.reason}")
-        return replace(made, looks=plan.looks), split_edges(places, made, system)
+        planned = plan_by(method, places, system)
+        if isinstance(planned, PlanInfeasible):
+            raise BadInput(f"{self.name}: {planned.reason}")
+        return replace(planned, looks=plan.looks), split_edges(places, planned, system)
 
     @cached_property
     def devices(self) -> dict[str, DeviceModel]:
@@ -296,10 +296,10 @@ def deal_system(scene: BenchScene, cache: ModelCache, settings: DeviceSettings, 
     cut = choose_cut(scene.training, scene.cut_by, "exact", lambda places: plan_places(places, place_edges(system, places, None, 0)))
     places = cut.places_of(positions)
     placed = place_edges(system, places, None, 0)
-    made = plan_places(places, placed)
-    if isinstance(made, PlanInfeasible):
-        raise BadInput(f"{name}: {made.reason}")
-    cloud_plan, edge_plans = cut.mark(made[0]), made[1]
+    planned = plan_places(places, placed)
+    if isinstance(planned, PlanInfeasible):
+        raise BadInput(f"{name}: {planned.reason}")
+    cloud_plan, edge_plans = cut.mark(planned[0]), planned[1]
     recipe = Recipe(
         system=placed,
         cloud_plan=cloud_plan,

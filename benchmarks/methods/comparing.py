@@ -29,8 +29,8 @@ def comparisons(cell: Cell, recipe: Recipe, run: InProcessRun) -> list[NodeWork]
     nearest = np.asarray(KDTree(cell.scene.training.cameras.centers).query(held_out.cameras.centers)[1])
     owners, works = np.array([device_of[int(row)] for row in nearest]), []
     for device in sorted({*owners.tolist()}):
-        own, begun_s = held_out.select(np.flatnonzero(owners == device)), time.process_time()
+        of_device, begun_s = held_out.select(np.flatnonzero(owners == device)), time.process_time()
         for splats in run.versions.values():
-            held_out_psnr_db(splats, own, recipe.backend)
+            held_out_psnr_db(splats, of_device, recipe.backend)
         works.append(NodeWork(stage=scored_at(f"devices/{device}"), cpu_s=time.process_time() - begun_s, sent_bytes=COMPARISON_BYTES))
     return works

@@ -80,8 +80,8 @@ def emulate_tree(system: System, works: Sequence[NodeWork]) -> EmulatedLatency:
     for edge in system.edges:
         sent_s = [_spent_s(device, work_of[stage]) for device in edge.devices if (stage := f"devices/{device.id}") in work_of]
         ready_s.append(max(sent_s, default=0.0))
-        own = work_of.get(f"edges/{edge.id}")
-        edge_s.append(0.0 if own is None else ready_s[-1] + _spent_s(edge, own))
+        work = work_of.get(f"edges/{edge.id}")
+        edge_s.append(0.0 if work is None else ready_s[-1] + _spent_s(edge, work))
     last = max(range(len(edge_s)), key=lambda index: edge_s[index])
     joined_s = edge_s[last] + work_of["cloud"].cpu_s / CLOUD_SPEED
     scene_s = joined_s + _compared_s(system, work_of)

@@ -174,7 +174,7 @@ def scene_times(
 
 
 def _scene_s(system: System, nodes: Sequence[NodeWork], groups: Mapping[str, GroupWork], link: Link) -> float:
-    speeds = {own.id: own.speed or 1.0 for own in (*system.edges, *system.devices)}
+    speeds = {node.id: node.speed or 1.0 for node in (*system.edges, *system.devices)}
     if (whole := groups.get("cloud")) is not None:
         return group_s(whole, speeds, link)
     linked = _linked(system, link)
@@ -189,9 +189,9 @@ def _scene_s(system: System, nodes: Sequence[NodeWork], groups: Mapping[str, Gro
 
 def _linked(system: System, link: Link) -> System:
     """The system with that link everywhere."""
-    same = {"uplink_bytes_per_s": link.bits_per_s / 8}
+    uplink = {"uplink_bytes_per_s": link.bits_per_s / 8}
     edges = []
     for edge in system.edges:
-        devices = tuple(replace(device, speed=device.speed or 1.0, **same) for device in edge.devices)
-        edges.append(replace(edge, speed=edge.speed or 1.0, devices=devices, **same))
+        devices = tuple(replace(device, speed=device.speed or 1.0, **uplink) for device in edge.devices)
+        edges.append(replace(edge, speed=edge.speed or 1.0, devices=devices, **uplink))
     return replace(system, edges=tuple(edges))

@@ -28,7 +28,7 @@ from benchmarks.fields.field import Field, FieldConfig, RadianceField, make_fiel
 from benchmarks.fields.fit import FitFieldConfig, FitFieldOptions, fit_field
 from benchmarks.fields.rays import PixelRays
 from benchmarks.fields.render import render_image
-from benchmarks.methods.arms import Arm, Made, Round
+from benchmarks.methods.arms import Arm, ArmModel, Round
 from benchmarks.methods.cells import Cell
 from benchmarks.rivals.drone_nerf import DroneConfig, fit_drone
 from benchmarks.rivals.f3dgs import F3dgsConfig, f3dgs
@@ -112,14 +112,14 @@ def _recipe_of(name: str) -> Callable[[Cell], Recipe]:
     return (lambda cell: cell.even) if name == "fednerf" else (lambda cell: cell.recipe)
 
 
-def _make_field(name: str, fit: Fit, settings: FieldSettings, cell: Cell, recipe: Recipe) -> Made:
+def _make_field(name: str, fit: Fit, settings: FieldSettings, cell: Cell, recipe: Recipe) -> ArmModel:
     pixels = PixelRays.of(cell.scene.views, FieldBounds.of(cell.scene.training))
     options = FitFieldOptions(report=partial(_tell, name), report_every_s=TOLD_EVERY_S)
     task = FitTask(cell=cell, recipe=recipe, sizes=settings.sizes, fit=settings.of(recipe), pixels=pixels, options=options)
     begun_s = time.process_time()
     fitted, parameters, rounds = fit(task)
     cpu_s = time.process_time() - begun_s
-    return Made(
+    return ArmModel(
         images=tuple(_pictures(fitted, task)),
         num_parameters=parameters,
         cpu_s=cpu_s,
@@ -164,10 +164,10 @@ def _fit_fednerf(task: FitTask) -> Fitted:
     return fitted.field, num_parameters(fitted.field), rounds
 
 
-def _make_f3dgs(cell: Cell, recipe: Recipe) -> Made:
+def _make_f3dgs(cell: Cell, recipe: Recipe) -> ArmModel:
     scene, views = cell.scene.training, cell.scene.views
     rows = _photographs_of_devices(recipe)
-    clients = [views.select(own) for own in rows]
+    clients = [views.select(rows_of_client) for rows_of_client in rows]
     config = F3dgsConfig(num_rounds=F3DGS_ROUNDS, num_steps=max(1, round(recipe.train.num_steps / F3DGS_ROUNDS)))
     begun_s = time.process_time()
     scaffold, _ = first_splats(scene, views, recipe.train)
@@ -183,7 +183,7 @@ def _make_f3dgs(cell: Cell, recipe: Recipe) -> Made:
     result = f3dgs(scaffold, clients, recipe.train, config, FitOptions(backend=recipe.backend), score)
     cpu_s = time.process_time() - begun_s - scoring_s[0]
     rounds = tuple(Round(sent_bytes=result.sent_bytes_a_round, psnr_db=psnr) for psnr in scores)
-    return Made(splats=result.splats, cpu_s=cpu_s, training_px=float(result.num_training_pixels), rounds=rounds)
+    return ArmModel(splats=result.splats, cpu_s=cpu_s, training_px=float(result.num_training_pixels), rounds=rounds)
 
 
 def _mean_psnr_db(splats: Splats, held_out: TrainingViews) -> float:
@@ -193,5 +193,5 @@ def _mean_psnr_db(splats: Splats, held_out: TrainingViews) -> float:
 
 def _photographs_of_devices(recipe: Recipe) -> Sequence[list[int]]:
     """Rows of the training photographs, of the devices that have any."""
-    found = [plan.cameras_of(device) for plan in recipe.edge_plans for device in plan.device_ids]
-    return [[int(row) for row in rows] for rows in found if len(rows)]
+    rows_of_devices = [plan.cameras_of(device) for plan in recipe.edge_plans for device in plan.device_ids]
+    return [[int(row) for row in rows] for rows in rows_of_devices if len(rows)]

@@ -76,9 +76,9 @@ def bench_together(bench: ScalingBench) -> list[Metric]:
             trainings.append(_train(bench, scene, devices, num_views))
             if trainings[-1].psnr_db >= bench.target_db:
                 break
-        for each in trainings:
-            metrics.append(Metric(key=f"{key}.views_{each.num_views}.psnr_db", value=each.psnr_db, unit="dB", direction="info"))
-            metrics.append(Metric(key=f"{key}.views_{each.num_views}.seconds", value=each.seconds, unit="s", direction="info"))
+        for training in trainings:
+            metrics.append(Metric(key=f"{key}.views_{training.num_views}.psnr_db", value=training.psnr_db, unit="dB", direction="info"))
+            metrics.append(Metric(key=f"{key}.views_{training.num_views}.seconds", value=training.seconds, unit="s", direction="info"))
         if (reached_s := seconds_to(bench.target_db, trainings)) is not None:
             seconds[devices] = reached_s
             metrics.append(Metric(key=f"{key}.seconds_to_{bench.target_db:g}_db", value=reached_s, unit="s", direction="lower"))
@@ -96,7 +96,7 @@ def seconds_to(target_db: float, trainings: Sequence[Reached]) -> float | None:
     last = trainings[-2:]
     if len(last) == 1 or last[0].psnr_db >= last[1].psnr_db:
         return last[-1].seconds
-    return float(np.interp(target_db, [each.psnr_db for each in last], [each.seconds for each in last]))
+    return float(np.interp(target_db, [training.psnr_db for training in last], [training.seconds for training in last]))
 
 
 def _train(bench: ScalingBench, scene: BenchScene, devices: int, num_views: int) -> Reached:
@@ -123,5 +123,5 @@ def _group_model(cell: Cell, *, overlaps: bool) -> tuple[Splats, float]:
     recipe = grouped(cell.recipe, "cloud", overlaps=overlaps)
     run = run_in_process(recipe, cell.scene.training, cell.scene.views)
     assert run.scene.splats is not None
-    (time,) = scene_times(recipe.system, (), {root: work_of(each) for root, each in run.groups.items()}, [LINK])
+    (time,) = scene_times(recipe.system, (), {root: work_of(group) for root, group in run.groups.items()}, [LINK])
     return run.scene.splats, time.scene_s

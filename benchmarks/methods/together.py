@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
-from benchmarks.methods.arms import Arm, Made
+from benchmarks.methods.arms import Arm, ArmModel
 from benchmarks.methods.cells import Cell
 from benchmarks.methods.comparing import comparisons
 from benchmarks.methods.emulated_latency import NodeClock, NodeWork
@@ -60,18 +60,18 @@ def grouped(recipe: Recipe, at: Literal["cloud", "edges"], *, overlaps: bool = F
     roots = {"cloud": dealt} if at == "cloud" else {f"edges/{edge}": {edge: devices} for edge, devices in dealt.items()}
     groups = {}
     for root, edges in roots.items():
-        devices = [device for each in edges.values() for device in each]
+        devices = [device for names in edges.values() for device in names]
         views = dict(zip(devices, views_of_speeds([speed[device] for device in devices]), strict=True))
         groups[root] = GroupTraining(
             root=root,
-            views={edge: {device: views[device] for device in each} for edge, each in edges.items()},
+            views={edge: {device: views[device] for device in names} for edge, names in edges.items()},
             num_steps=sum(recipe.training_of(device).num_steps for device in devices),
             overlaps=overlaps,
         )
     return replace(recipe, groups=groups)
 
 
-def make_together(cell: Cell, recipe: Recipe) -> Made:
+def make_together(cell: Cell, recipe: Recipe) -> ArmModel:
     """The scene of a run by a recipe with groups of all its devices."""
     scene, clock, begun_s = cell.scene, NodeClock(), time.process_time()
     run = run_in_process(recipe, scene.training, scene.views, clock.reporter_of)
@@ -85,18 +85,18 @@ def make_together(cell: Cell, recipe: Recipe) -> Made:
         if root != "cloud"
     ]
     nodes += [
-        NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=refinement_bytes(each, run.scene.splats, recipe.upload))
-        for stage, each in run.refinements.items()
+        NodeWork(stage=stage, cpu_s=seconds[stage], sent_bytes=refinement_bytes(refinement, run.scene.splats, recipe.upload))
+        for stage, refinement in run.refinements.items()
     ]
     if nodes:
         nodes += comparisons(cell, recipe, run)
         nodes += [NodeWork(stage=stage, cpu_s=spent_s) for stage, spent_s in seconds.items() if refines_for(stage) == "cloud"]
-    return Made(
+    return ArmModel(
         splats=run.scene.splats,
         cpu_s=cpu_s,
-        training_px=float(sum(_training_px(each) for each in run.groups.values())),
+        training_px=float(sum(_training_px(group) for group in run.groups.values())),
         nodes=tuple(nodes),
-        groups={root: work_of(each) for root, each in run.groups.items()},
+        groups={root: work_of(group) for root, group in run.groups.items()},
     )
 
 

@@ -69,14 +69,14 @@ def balance_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     del quick
     cells = [arms.cell(arms.layout, seed) for seed in seeds]
     jobs = track_items([(name, cell) for name in NAMES for cell in cells], "bench paper, balance")
-    done = [(name, arms.row(cell, _arm(name)), _times(cell, _recipe(name, cell))) for name, cell in jobs]
-    every = [device for _, _, own in done for device in own]
+    results = [(name, arms.row(cell, _arm(name)), _times(cell, _recipe(name, cell))) for name, cell in jobs]
+    every = [device for _, _, times in results for device in times]
     photograph_s = sum(device.cpu_s for device in every) / sum(device.num_photographs for device in every)
     even, balanced = (
         _Side(
             name=name,
-            devices=_mean_times([own for other, _, own in done if other == name]),
-            psnr_db=float(np.mean([row.mean_psnr_db for other, row, _ in done if other == name])),
+            devices=_mean_times([times for cell_name, _, times in results if cell_name == name]),
+            psnr_db=float(np.mean([row.mean_psnr_db for cell_name, row, _ in results if cell_name == name])),
             photograph_s=photograph_s,
         )
         for name in NAMES
@@ -94,7 +94,7 @@ def balance_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
         text=_table([even, balanced], saved),
         pictures={"balance.png": latency_picture([_latency_of(side) for side in (even, balanced)], title, detail)},
         figures={
-            "rows": [asdict(row) for _, row, _ in done],
+            "rows": [asdict(row) for _, row, _ in results],
             "devices": {side.name: [asdict(device) for device in side.devices] for side in (even, balanced)},
             "cpu_s_per_photograph": photograph_s,
             "saved_percent": saved,
@@ -154,4 +154,4 @@ def _times(cell: Cell, recipe: Recipe) -> list[DeviceTime]:
 
 
 def _mean_times(of_seeds: Sequence[Sequence[DeviceTime]]) -> list[DeviceTime]:
-    return [replace(own[0], cpu_s=float(np.mean([one.cpu_s for one in own]))) for own in zip(*of_seeds, strict=True)]
+    return [replace(times[0], cpu_s=float(np.mean([one.cpu_s for one in times]))) for times in zip(*of_seeds, strict=True)]

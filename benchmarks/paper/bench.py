@@ -86,48 +86,48 @@ def bench_paper(bench: PaperBench) -> list[Metric]:
     arms = replace(arms, field_steps=bench.field_steps, lpips=bench.lpips)
     bench.out.mkdir(parents=True, exist_ok=True)
     seeds = range(bench.num_seeds)
-    made: dict[str, Part] = {}
+    parts: dict[str, Part] = {}
     for name, make in PARTS.items():
         if name not in (bench.parts or {*PARTS} - {*BY_NAME}):
             continue
-        made["main" if name == "fed3dgs" else name] = make(arms, seeds, bench.quick)
-        _write(bench, arms, made)
-    return [metric for name, part in made.items() for metric in _metrics(arms.scene.name, name, part)]
+        parts["main" if name == "fed3dgs" else name] = make(arms, seeds, bench.quick)
+        _write(bench, arms, parts)
+    return [metric for name, part in parts.items() for metric in _metrics(arms.scene.name, name, part)]
 
 
-def _write(bench: PaperBench, arms: Arms, made: Mapping[str, Part]) -> None:
+def _write(bench: PaperBench, arms: Arms, parts: Mapping[str, Part]) -> None:
     from radiant_viewer.pictures.images import save_png
 
     lines = [f"# The paper's figures on our own data: {arms.scene.name}", "", *_facts(bench, arms), ""]
     for name in PAGE_ORDER:
-        if name not in made:
+        if name not in parts:
             continue
-        part = made[name]
+        part = parts[name]
         lines += [f"## {part.title}", "", part.text, ""]
         for file, image in part.pictures.items():
             save_png(bench.out / file, image)
             lines += [f"![{part.title}]({file})", ""]
     write_atomic(bench.out / "paper.md", "\n".join(lines).encode())
-    figures = {name: {"title": part.title, "figures": part.figures} for name, part in made.items()}
+    figures = {name: {"title": part.title, "figures": part.figures} for name, part in parts.items()}
     about = {"version": __version__, "scene": arms.scene.name, "long_side_px": bench.long_side_px, "num_steps": bench.num_steps}
     write_json(bench.out / "paper.json", {**about, "num_seeds": bench.num_seeds, "quick": bench.quick, "parts": figures})
 
 
 def _facts(bench: PaperBench, arms: Arms) -> list[str]:
-    trained, held = len(arms.scene.training.cameras), len(arms.scene.held_out.cameras)
+    trained, held_out = len(arms.scene.training.cameras), len(arms.scene.held_out.cameras)
     seeds = "1 seed" if bench.num_seeds == 1 else f"{bench.num_seeds} seeds"
     devices = "1 device each" if arms.layout.num_devices == 1 else f"{arms.layout.num_devices} devices each, of speeds 1 and 0.6"
     return [
-        f"Scene {arms.scene.name}: {trained} photographs to train on, {held} held out of everything (every eighth by name).",
+        f"Scene {arms.scene.name}: {trained} photographs to train on, {held_out} held out of everything (every eighth by name).",
         f"{bench.long_side_px} px, {bench.num_steps} steps per device (preset draft), {seeds}. Unless said otherwise",
         f"{arms.layout.num_edges} edges with {devices}. PSNR and SSIM are means over held-out photographs, seconds are CPU",
         "seconds on this machine. All of it was measured here: the paper's own figures, of other scenes and machines, are not here.",
     ]
 
 
-def _metrics(scene: str, part: str, made: Part) -> list[Metric]:
-    named: dict[str, Any] = made.figures if isinstance(made.figures, dict) else {}
-    rows: list[dict[str, Any]] = made.figures if isinstance(made.figures, list) else named.get("rows", [])
+def _metrics(scene: str, part: str, result: Part) -> list[Metric]:
+    named: dict[str, Any] = result.figures if isinstance(result.figures, dict) else {}
+    rows: list[dict[str, Any]] = result.figures if isinstance(result.figures, list) else named.get("rows", [])
     metrics: list[Metric] = []
     for row in rows:
         key = f"paper.{scene}.{part}.{row['cell']}.{row['arm'].replace(' ', '_')}"

@@ -114,7 +114,7 @@ def latency_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     costs = {key: measure_costs(arms, *key) for key in track_items(wanted, "bench paper, costs of the systems")}
     cells = {key: system_cell(arms, fitted_costs(fits), *key) for key, fits in costs.items()}
     tried = [(key, cell, arm) for key, cell in cells.items() for arm in (plan_arms(quick) if quick else _all_arms())]
-    done: list[tuple[ArmRow, LatencyRow]] = []
+    results: list[tuple[ArmRow, LatencyRow]] = []
     missing: list[str] = []
     for (system, _), cell, arm in track_items(tried, "bench paper, latency"):
         try:
@@ -124,8 +124,8 @@ def latency_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
             continue
         row = arms.row(cell, arm)
         # The costs are of our joining.
-        done.append((row, _latency(system, recipe, row, simulated=recipe.aggregate == cell.recipe.aggregate)))
-    rows = [row for _, row in done]
+        results.append((row, _latency(system, recipe, row, simulated=recipe.aggregate == cell.recipe.aggregate)))
+    rows = [row for _, row in results]
     lines = [(__doc__ or "").split("\n\n", 1)[1].strip("\n"), ""]
     for system in names:
         lines += [*_table(system, [row for row in rows if row.system == system]), ""]
@@ -135,7 +135,7 @@ def latency_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
         title="End-to-end latency",
         text="\n".join(lines),
         pictures={"latency.png": _picture(arms, names, rows)},
-        figures={"rows": [asdict(row) for row, _ in done], "latency": [asdict(row) for row in rows], "costs": fits_of},
+        figures={"rows": [asdict(row) for row, _ in results], "latency": [asdict(row) for row in rows], "costs": fits_of},
     )
 
 
@@ -174,7 +174,7 @@ def measure_costs(arms: Arms, name: str, seed: int) -> dict[str, FittedCurve]:
             if any(counts):
                 kind = "aggregate_s" if np.count_nonzero(counts) > 1 else "alone_s"
                 samples[kind].append((sum(counts), works[f"edges/{plan.edge_id}"].cpu_s))
-    return {kind: fit_curve(*zip(*found, strict=True), may_fall=True) for kind, found in samples.items() if found}
+    return {kind: fit_curve(*zip(*pairs, strict=True), may_fall=True) for kind, pairs in samples.items() if pairs}
 
 
 def fitted_costs(fits: dict[str, FittedCurve]) -> Costs:
@@ -226,16 +226,16 @@ def _table(system: str, rows: Sequence[LatencyRow]) -> list[str]:
         "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     groups = _by_method(rows)
-    for method, own in groups.items():
-        times = [_text(own, "simulated_imbalance", 2), _text(own, "simulated_edges_s", 1)]
-        times += [_text(own, "emulated_imbalance", 2), _text(own, "emulated_edges_s", 1)]
-        times += [_text(own, "emulated_joined_s", 1), _text(own, "emulated_scene_s", 1)]
-        if len(own) > 1:
-            ends_s = [row.emulated_scene_s for row in own]
+    for method, rows_of_method in groups.items():
+        times = [_text(rows_of_method, "simulated_imbalance", 2), _text(rows_of_method, "simulated_edges_s", 1)]
+        times += [_text(rows_of_method, "emulated_imbalance", 2), _text(rows_of_method, "emulated_edges_s", 1)]
+        times += [_text(rows_of_method, "emulated_joined_s", 1), _text(rows_of_method, "emulated_scene_s", 1)]
+        if len(rows_of_method) > 1:
+            ends_s = [row.emulated_scene_s for row in rows_of_method]
             times[-1] += f" ({min(ends_s):.1f} to {max(ends_s):.1f})"
-        quality = [_text(own, "psnr_db", 2), _text(own, "ssim", 3), f"{_mean(own, 'num_gaussians'):,.0f}"]
-        dealt = " ".join(map(str, own[0].photographs))
-        lines.append(f"| {' | '.join([method, dealt, *times, _text(own, 'measured_cpu_s', 0), *quality])} |")
+        quality = [_text(rows_of_method, "psnr_db", 2), _text(rows_of_method, "ssim", 3), f"{_mean(rows_of_method, 'num_gaussians'):,.0f}"]
+        dealt = " ".join(map(str, rows_of_method[0].photographs))
+        lines.append(f"| {' | '.join([method, dealt, *times, _text(rows_of_method, 'measured_cpu_s', 0), *quality])} |")
     return [*lines, "", *_sooner(groups)]
 
 
@@ -243,14 +243,14 @@ def _sooner(groups: dict[str, list[LatencyRow]]) -> list[str]:
     """What the exact plan saves over each other method, end to end, with the quality beside it."""
     if "exact plan" not in groups:
         return []
-    exact, said = groups["exact plan"], []
-    for method, own in groups.items():
+    exact, sentences = groups["exact plan"], []
+    for method, rows_of_method in groups.items():
         if method == "exact plan":
             continue
-        share = 1 - _mean(exact, "emulated_scene_s") / _mean(own, "emulated_scene_s")
+        share = 1 - _mean(exact, "emulated_scene_s") / _mean(rows_of_method, "emulated_scene_s")
         later = f"{abs(share):.0%} {'sooner' if share >= 0 else 'later'} than {method}"
-        said.append(f"{later} (PSNR {_mean(exact, 'psnr_db') - _mean(own, 'psnr_db'):+.2f} dB)")
-    return [f"As emulated, the scene of the exact plan is done {'; '.join(said)}."] if said else []
+        sentences.append(f"{later} (PSNR {_mean(exact, 'psnr_db') - _mean(rows_of_method, 'psnr_db'):+.2f} dB)")
+    return [f"As emulated, the scene of the exact plan is done {'; '.join(sentences)}."] if sentences else []
 
 
 def _by_method(rows: Sequence[LatencyRow]) -> dict[str, list[LatencyRow]]:
@@ -260,12 +260,12 @@ def _by_method(rows: Sequence[LatencyRow]) -> dict[str, list[LatencyRow]]:
     return groups
 
 
-def _mean(rows: Sequence[LatencyRow], what: str) -> float:
-    return float(np.mean([getattr(row, what) for row in rows]))
+def _mean(rows: Sequence[LatencyRow], figure: str) -> float:
+    return float(np.mean([getattr(row, figure) for row in rows]))
 
 
-def _text(rows: Sequence[LatencyRow], what: str, digits: int) -> str:
-    return "–" if any(getattr(row, what) is None for row in rows) else f"{_mean(rows, what):.{digits}f}"
+def _text(rows: Sequence[LatencyRow], figure: str, digits: int) -> str:
+    return "–" if any(getattr(row, figure) is None for row in rows) else f"{_mean(rows, figure):.{digits}f}"
 
 
 def _fit_lines(costs: dict[tuple[str, int], dict[str, FittedCurve]]) -> list[str]:
@@ -283,7 +283,10 @@ def _picture(arms: Arms, systems: Sequence[str], rows: Sequence[LatencyRow]) -> 
     panels = [
         SystemLatency(
             name=SYSTEMS[system],
-            methods=tuple(_drawn(method, own) for method, own in _by_method([row for row in rows if row.system == system]).items()),
+            methods=tuple(
+                _method_latency(method, rows_of_method)
+                for method, rows_of_method in _by_method([row for row in rows if row.system == system]).items()
+            ),
         )
         for system in systems
     ]
@@ -292,11 +295,11 @@ def _picture(arms: Arms, systems: Sequence[str], rows: Sequence[LatencyRow]) -> 
     return end_to_end_picture(panels, PHASES, "simulated, until the edges are done", "End-to-end latency, emulated", detail)
 
 
-def _drawn(method: str, own: Sequence[LatencyRow]) -> MethodLatency:
+def _method_latency(method: str, rows: Sequence[LatencyRow]) -> MethodLatency:
     from benchmarks.charts.end_to_end_chart import MethodLatency
 
-    devices_s, joined_s, scene_s = (_mean(own, f"emulated_{what}_s") for what in ("devices", "joined", "scene"))
-    edges_s = devices_s if own[0].emulated_edges_s is None else _mean(own, "emulated_edges_s")
-    simulated_s = None if own[0].simulated_edges_s is None else _mean(own, "simulated_edges_s")
-    note = f"{_mean(own, 'psnr_db'):.2f} dB"
+    devices_s, joined_s, scene_s = (_mean(rows, f"emulated_{node}_s") for node in ("devices", "joined", "scene"))
+    edges_s = devices_s if rows[0].emulated_edges_s is None else _mean(rows, "emulated_edges_s")
+    simulated_s = None if rows[0].simulated_edges_s is None else _mean(rows, "simulated_edges_s")
+    note = f"{_mean(rows, 'psnr_db'):.2f} dB"
     return MethodLatency(name=method, ends_s=(devices_s, edges_s, joined_s, scene_s), simulated_s=simulated_s, note=note)

@@ -85,10 +85,10 @@ def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Par
     rows = _rows(arms, [(arms.cell(arms.layout, seed), METHODS[name]) for name in methods for seed in seeds], "main")
     lines = ["| method | PSNR dB | SSIM | Gaussians | CPU s | training Mpx |", "|---|---|---|---|---|---|"]
     for name in methods:
-        own = [row for row in rows if row.arm == name]
+        arm_rows = [row for row in rows if row.arm == name]
         lines.append(
-            f"| {_label(name)} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'mean_ssim'):.3f} | {_mean(own, 'num_gaussians'):,.0f} |"
-            f" {_mean(own, 'cpu_s'):.0f} | {_mean(own, 'training_px') / 1e6:.0f} |"
+            f"| {_label(name)} | {_mean(arm_rows, 'mean_psnr_db'):.2f} | {_mean(arm_rows, 'mean_ssim'):.3f} |"
+            f" {_mean(arm_rows, 'num_gaussians'):,.0f} | {_mean(arm_rows, 'cpu_s'):.0f} | {_mean(arm_rows, 'training_px') / 1e6:.0f} |"
         )
     devices = [model.summary for seed in seeds for model in arms.cell(arms.layout, seed).devices.values()]
     cpu_s, pixels = (sum(summary[name] for summary in devices) / len(seeds) for name in ("cpu_s", "training_px"))
@@ -110,18 +110,21 @@ def regions_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     cells = {layout: [arms.cell(layout, seed) for seed in seeds] for layout in layouts}
     jobs = [(cell, METHODS[name]) for layout in layouts for cell in cells[layout] for name in REGION_METHODS]
     rows = _rows(arms, jobs, "regions")
-    lengths_m = {layout: border_length_m(own[0].recipe.cloud_plan, own[0].recipe.edge_plans) for layout, own in cells.items()}
+    lengths_m = {
+        layout: border_length_m(cells_of_layout[0].recipe.cloud_plan, cells_of_layout[0].recipe.edge_plans)
+        for layout, cells_of_layout in cells.items()
+    }
     lines = ["| layout | regions | borders m | method | PSNR dB | SSIM | CPU s | training Mpx |", "|---|---|---|---|---|---|---|---|"]
     table: dict[str, list[tuple[float, float, float, float]]] = {name: [] for name in REGION_METHODS}
     for layout in layouts:
         names = {cell.name for cell in cells[layout]}
         for name in REGION_METHODS:
-            own = [row for row in rows if row.arm == name and row.cell in names]
-            psnr, cpu_s, pixels = (_mean(own, what) for what in ("mean_psnr_db", "cpu_s", "training_px"))
+            arm_rows = [row for row in rows if row.arm == name and row.cell in names]
+            psnr, cpu_s, pixels = (_mean(arm_rows, figure) for figure in ("mean_psnr_db", "cpu_s", "training_px"))
             table[name].append((_regions(layout), psnr, cpu_s, pixels / 1e6))
             lines.append(
                 f"| {layout} | {_regions(layout)} | {lengths_m[layout]:.0f} | {_label(name)} | {psnr:.2f} |"
-                f" {_mean(own, 'mean_ssim'):.3f} | {cpu_s:.1f} | {pixels / 1e6:.0f} |"
+                f" {_mean(arm_rows, 'mean_ssim'):.3f} | {cpu_s:.1f} | {pixels / 1e6:.0f} |"
             )
     picture = line_picture(
         _region_panels(table, list(lengths_m.values())), "Merge against retrain as regions grow", _data(arms), panel_wh=(400, 330)
@@ -165,19 +168,23 @@ def epochs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     rows = _rows(arms, [(arms.cell(arms.layout, seed), arm) for arm in jobs.values() for seed in seeds], "epochs")
     of = {key: [row for row in rows if row.arm == arm.name] for key, arm in jobs.items()}
     lines = ["| epochs | method | band dB | interior dB | whole dB | CPU s |", "|---|---|---|---|---|---|"]
-    for (name, count), own in of.items():
-        texts = [_mean_text(own, what) for what in ("band_db", "interior_db")]
-        lines.append(f"| {count} | {name} | {' | '.join(texts)} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'cpu_s'):.0f} |")
+    for (name, count), rows_of_count in of.items():
+        texts = [_mean_text(rows_of_count, figure) for figure in ("band_db", "interior_db")]
+        lines.append(
+            f"| {count} | {name} | {' | '.join(texts)} | {_mean(rows_of_count, 'mean_psnr_db'):.2f} | {_mean(rows_of_count, 'cpu_s'):.0f} |"
+        )
     lines += [
         "",
         "No epochs: the plain cut at the devices' strips, for both. `paper` retrains for so many at its edges and for as many again at the"
         " cloud, `ours` at the cloud alone.",
     ]
-    known = all(row.band_db is not None and row.interior_db is not None for row in rows)
-    if not known:
-        seen = min(row.num_band_images for row in rows)
-        lines.append(f"Band and interior are insufficient: borders lie in {seen} held-out photographs, {MIN_IMAGES} are asked for.")
-    kinds = {"band_db": "Beside borders: PSNR (dB)", "interior_db": "Elsewhere: PSNR (dB)"} if known else {"mean_psnr_db": "PSNR (dB)"}
+    is_measured = all(row.band_db is not None and row.interior_db is not None for row in rows)
+    if not is_measured:
+        num_images = min(row.num_band_images for row in rows)
+        lines.append(f"Band and interior are insufficient: borders lie in {num_images} held-out photographs, {MIN_IMAGES} are asked for.")
+    kinds = (
+        {"band_db": "Beside borders: PSNR (dB)", "interior_db": "Elsewhere: PSNR (dB)"} if is_measured else {"mean_psnr_db": "PSNR (dB)"}
+    )
     picture = line_picture(_epoch_panels(of, epochs, kinds), "Quality against epochs of retraining", _data(arms), panel_wh=(430, 330))
     title = "Border quality against epochs of retraining"
     return Part(title=title, text="\n".join(lines), pictures={"epochs.png": picture}, figures=_records(rows))
@@ -213,16 +220,16 @@ def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
         "paper": "retrain at both, as `paper`",
     }
     cells = {system: [arms.cell(system[0], seed, system[1]) for seed in seeds] for system in systems}
-    jobs = [(cell, METHODS[name]) for own in cells.values() for cell in own for name in settings]
+    jobs = [(cell, METHODS[name]) for cells_of_layout in cells.values() for cell in cells_of_layout for name in settings]
     rows = _rows(arms, jobs, "fusion")
     lines = ["| system | joining | PSNR dB | SSIM | Gaussians | CPU s |", "|---|---|---|---|---|---|"]
     for number, ((layout, speeds), own_cells) in enumerate(cells.items(), 1):
         names = {cell.name for cell in own_cells}
         for name, setting in settings.items():
-            own = [row for row in rows if row.arm == name and row.cell in names]
+            arm_rows = [row for row in rows if row.arm == name and row.cell in names]
             lines.append(
-                f"| {number}: {_system(layout, speeds)} | {setting} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'mean_ssim'):.3f} |"
-                f" {_mean(own, 'num_gaussians'):,.0f} | {_mean(own, 'cpu_s'):.0f} |"
+                f"| {number}: {_system(layout, speeds)} | {setting} | {_mean(arm_rows, 'mean_psnr_db'):.2f} |"
+                f" {_mean(arm_rows, 'mean_ssim'):.3f} | {_mean(arm_rows, 'num_gaussians'):,.0f} | {_mean(arm_rows, 'cpu_s'):.0f} |"
             )
     return Part(title="Fusion: which tier retrains", text="\n".join(lines), figures=_records(rows))
 
@@ -242,21 +249,21 @@ def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     excess = [((cut.image - photograph) ** 2 - (whole.image - photograph) ** 2).sum(axis=2) for cut, whole, photograph in images]
     index, place = _worst_window([error * band for error, band in zip(excess, bands, strict=True)])
     photograph = arms.photographs[index][place]
-    shown = [
+    healed = [
         Healed(caption=f"{_label(name)}: {psnr_db(view[index].image[place], photograph):.1f} dB here", image=view[index].image_bytes[place])
         for name, view in views.items()
     ]
     name = arms.scene.held_out_views.cameras.names[index]
     detail = f"{_data(arms)}; held-out photograph {name}, where the cut is most behind the centralised model beside a border"
-    picture = healing_picture((photograph * 255).round().astype(np.uint8), bands[index][place], shown, title, detail)
+    picture = healing_picture((photograph * 255).round().astype(np.uint8), bands[index][place], healed, title, detail)
     text = f"Photograph {name}, held out of everything, where beside a border the cut is most behind the centralised model."
-    figures = {"photograph": name, "captions": [one.caption for one in shown]}
+    figures = {"photograph": name, "captions": [one.caption for one in healed]}
     return Part(title=title, text=text, pictures={"border.png": picture}, figures=figures)
 
 
 def _worst_window(errors: Sequence[NDArray[np.floating]]) -> tuple[int, tuple[slice, slice]]:
     """Index of the image (H,W) of errors and its window whose middle half has the largest sum."""
-    best, found = -np.inf, (0, (slice(None), slice(None)))
+    best, window = -np.inf, (0, (slice(None), slice(None)))
     for index, error in enumerate(errors):
         size = [max(1, round(WINDOW_SHARE * side)) for side in error.shape]
         inner = [max(1, side // 2) for side in size]
@@ -270,8 +277,8 @@ def _worst_window(errors: Sequence[NDArray[np.floating]]) -> tuple[int, tuple[sl
                 for place, half, full, side in zip(corner, inner, size, error.shape, strict=True)
             ]
             rows, columns = (slice(start, start + full) for start, full in zip(starts, size, strict=True))
-            best, found = float(sums[corner]), (index, (rows, columns))
-    return found
+            best, window = float(sums[corner]), (index, (rows, columns))
+    return window
 
 
 def border_length_m(plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> float:
@@ -279,9 +286,9 @@ def border_length_m(plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> float:
     between_edges = sum(border.length_m for border in shared_borders(plan))
     # A cut is part of the outlines of two strips, the region's outline of one.
     cuts = sum(
-        sum(_perimeter_m(strip) for strip in own.strips) - _perimeter_m(region)
-        for region, own in zip(plan.borders, edge_plans, strict=True)
-        if any(len(strip) for strip in own.strips)
+        sum(_perimeter_m(strip) for strip in edge_plan.strips) - _perimeter_m(region)
+        for region, edge_plan in zip(plan.borders, edge_plans, strict=True)
+        if any(len(strip) for strip in edge_plan.strips)
     )
     return between_edges + max(cuts, 0.0) / 2
 
@@ -291,16 +298,16 @@ def _perimeter_m(polygon: FloatArray) -> float:
 
 
 def _rows(arms: Arms, jobs: Sequence[tuple[Cell, Arm]], part: str) -> list[ArmRow]:
-    found = [arms.row(cell, arm) for cell, arm in track_items(jobs, f"bench paper, {part}")]
-    return list({(row.cell, row.arm): row for row in found}.values())
+    rows = [arms.row(cell, arm) for cell, arm in track_items(jobs, f"bench paper, {part}")]
+    return list({(row.cell, row.arm): row for row in rows}.values())
 
 
-def _mean(rows: Sequence[ArmRow], what: str) -> float:
-    return float(np.mean([getattr(row, what) for row in rows]))
+def _mean(rows: Sequence[ArmRow], figure: str) -> float:
+    return float(np.mean([getattr(row, figure) for row in rows]))
 
 
-def _mean_text(rows: Sequence[ArmRow], what: str) -> str:
-    return "insufficient" if any(getattr(row, what) is None for row in rows) else f"{_mean(rows, what):.2f}"
+def _mean_text(rows: Sequence[ArmRow], figure: str) -> str:
+    return "insufficient" if any(getattr(row, figure) is None for row in rows) else f"{_mean(rows, figure):.2f}"
 
 
 def _span_around(values: FloatArray) -> tuple[float, float]:

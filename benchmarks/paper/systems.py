@@ -39,7 +39,7 @@ def systems_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
     names = [*SYSTEMS][:1] if quick else [*SYSTEMS]
     fits = {name: measure_costs(arms, name, seeds[0]) for name in track_items(names, "bench paper, systems")}
-    cells = {name: system_cell(arms, fitted_costs(own), name, seeds[0]) for name, own in fits.items()}
+    cells = {name: system_cell(arms, fitted_costs(curves), name, seeds[0]) for name, curves in fits.items()}
     compared = {name: compare_all(_places(arms, cell), cell.recipe.system) for name, cell in cells.items()}
     detail = f"{arms.scene.name}, {arms.scene.long_side_px} px, preset draft of {arms.num_steps} steps"
     pictures = {
@@ -61,7 +61,7 @@ def systems_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
         text="\n".join([*lines, "", (__doc__ or "").split("\n\n")[2].strip()]),
         pictures=pictures,
         figures={
-            "costs": {name: {kind: asdict(fit) for kind, fit in own.items()} for name, own in fits.items()},
+            "costs": {name: {kind: asdict(fit) for kind, fit in curves.items()} for name, curves in fits.items()},
             "convergence": {name: {row.method: list(row.history) for row in rows} for name, rows in compared.items()},
             "edge_time_s": {name: {row.method: row.edge_time_s.tolist() for row in rows} for name, rows in compared.items()},
         },
@@ -78,11 +78,11 @@ def _cost_panels(fits: Mapping[str, Mapping[str, FittedCurve]]) -> list[Panel]:
     panels = []
     for kind, (label, unit) in COSTS.items():
         lines = []
-        for style, (name, own) in enumerate(fits.items()):
-            counts, values = np.array(own[kind].samples, float).T
+        for style, (name, curves) in enumerate(fits.items()):
+            counts, values = np.array(curves[kind].samples, float).T
             xs = np.linspace(counts.min(), counts.max(), 50)
             lines.append(Line(name=SYSTEMS[name], x=counts, y=values * unit, dotted=True, style=style))
-            lines.append(Line(name=f"{SYSTEMS[name]}, fitted", x=xs, y=own[kind].curve(xs) * unit, style=style))
+            lines.append(Line(name=f"{SYSTEMS[name]}, fitted", x=xs, y=curves[kind].curve(xs) * unit, style=style))
         panels.append(Panel(lines=tuple(lines), x_label="Photographs per device", y_label=label))
     return panels
 

@@ -93,7 +93,7 @@ class Figures:
     """Of every held-out photograph."""
 
 
-Made = dict[str, list[Figures]]
+FiguresByMethod = dict[str, list[Figures]]
 """Method → its figures, a seed each, as far as they are made."""
 
 
@@ -117,8 +117,8 @@ def table_methods(field_steps: int) -> list[Method]:
     ]
     for label, plan in (("Even", "even plan"), ("Radiant", "exact plan")):
         for number in (1, 2):
-            own = {**devices, "system": f"paper_{number}", "played": "tree", "privacy": True}
-            rows.append(Method(name=f"{label}, system {number}", architecture=tiers, arm=plans[plan], **own))
+            alike = {**devices, "system": f"paper_{number}", "played": "tree", "privacy": True}
+            rows.append(Method(name=f"{label}, system {number}", architecture=tiers, arm=plans[plan], **alike))
     rows.append(Method(name="F3DGS-style", architecture=federated, arm=rivals["f3dgs"], rounds_sent=True, privacy=False, **devices))
     return rows
 
@@ -134,17 +134,17 @@ def table_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
             return arms.cell(arms.layout, seed)
         return system_cell(arms, _costs(arms, system, seed), system, seed)
 
-    made: Made = {}
-    _write(arms, methods, made)
+    figures_of: FiguresByMethod = {}
+    _write(arms, methods, figures_of)
     jobs = [(seed, method) for seed in seeds for method in methods]
     jobs.sort(key=lambda job: job[0] != seeds[0] and (1 if job[1].arm.of_gaussians else 2))
     for seed, method in track_items(jobs, "bench paper, table 2"):
-        made.setdefault(method.name, []).append(row_figures(arms, cell_of(method.system, seed), method, seed))
-        _write(arms, methods, made)
+        figures_of.setdefault(method.name, []).append(row_figures(arms, cell_of(method.system, seed), method, seed))
+        _write(arms, methods, figures_of)
     return Part(
         title="Table II from this scene",
-        text="\n".join(table_lines(arms, methods, made)),
-        figures={"table": [asdict(figures) for of_seeds in made.values() for figures in of_seeds]},
+        text="\n".join(table_lines(arms, methods, figures_of)),
+        figures={"table": [asdict(figures) for of_seeds in figures_of.values() for figures in of_seeds]},
     )
 
 
@@ -180,21 +180,21 @@ def _costs(arms: Arms, system: str, seed: int) -> Costs:
 def _perceptual(arms: Arms, cell: Cell, arm: Arm) -> tuple[float | None, float | None]:
     """LPIPS, where its weights are given, and FLIP, where its package is here; kept by the row."""
     record = arms.model_file(cell, arm).with_suffix(".perceptual.json")
-    kept: dict[str, Any] = read_json(record) if record.is_file() else {}
+    figures: dict[str, Any] = read_json(record) if record.is_file() else {}
     network = arms.lpips.network if arms.lpips is not None else None
-    if "flip" in kept and (network is None or network in kept):
-        return (kept[network] if network else None), kept["flip"]
+    if "flip" in figures and (network is None or network in figures):
+        return (figures[network] if network else None), figures["flip"]
     pairs = list(zip(arms.images(cell, arm), arms.photographs, strict=True))
-    kept["flip"] = _mean([flip(np.clip(image, 0, 1), photograph) for image, photograph in pairs])
+    figures["flip"] = _mean([flip(np.clip(image, 0, 1), photograph) for image, photograph in pairs])
     if arms.lpips is not None:
-        kept[arms.lpips.network] = _mean([arms.lpips(np.clip(image, 0, 1), photograph) for image, photograph in pairs])
-    write_json(record, kept)
-    return (kept[network] if network else None), kept["flip"]
+        figures[arms.lpips.network] = _mean([arms.lpips(np.clip(image, 0, 1), photograph) for image, photograph in pairs])
+    write_json(record, figures)
+    return (figures[network] if network else None), figures["flip"]
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if len(known) == len(values) else None
+    numbers = [value for value in values if value is not None]
+    return float(np.mean(numbers)) if len(numbers) == len(values) else None
 
 
 def _sent_bytes(arms: Arms, method: Method, row: ArmRow) -> int:
@@ -211,7 +211,7 @@ def _scene_s(played: Played, recipe: Recipe, row: ArmRow) -> float | None:
     return (emulate_server if played == "server" else emulate_tree)(recipe.system, row.nodes).scene_s
 
 
-def table_lines(arms: Arms, methods: Sequence[Method], made: Mapping[str, Sequence[Figures]]) -> list[str]:
+def table_lines(arms: Arms, methods: Sequence[Method], figures_of: Mapping[str, Sequence[Figures]]) -> list[str]:
     """The table, what its columns are, and what the paper prints for other scenes."""
     lines = [
         f"| architecture | method | PSNR dB | − {COMPARED}: dB, 95 % bounds | SSIM | LPIPS | FLIP | CPU s, measured | MB sent |"
@@ -219,10 +219,10 @@ def table_lines(arms: Arms, methods: Sequence[Method], made: Mapping[str, Sequen
         "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for method in methods:
-        cells = _cells(made[method.name], made.get(COMPARED, [])) if method.name in made else ["not made yet", *["–"] * 8]
+        cells = _cells(figures_of[method.name], figures_of.get(COMPARED, [])) if method.name in figures_of else ["not made yet", *["–"] * 8]
         marks = ["yes" if mark else "no" for mark in (method.scalability, method.privacy)]
         lines.append(f"| {method.architecture} | {method.name} | {' | '.join([*cells, *marks])} |")
-    lines += ["", *_notes(arms, made), "", *published_table()]
+    lines += ["", *_notes(arms, figures_of), "", *published_table()]
     return lines
 
 
@@ -245,13 +245,13 @@ def _difference(figures: Sequence[Figures], compared: Sequence[Figures]) -> str:
     seeds = min(len(figures), len(compared))
     if not seeds or len(figures[0].psnr_of_each_db) < 2:
         return "–"
-    own, other = (np.array([one.psnr_of_each_db for one in rows[:seeds]]) for rows in (figures, compared))
-    found = paired_bootstrap(own, other)
-    return f"{found.mean:+.2f} ({found.low:+.2f} to {found.high:+.2f})"
+    psnr_db, compared_db = (np.array([one.psnr_of_each_db for one in rows[:seeds]]) for rows in (figures, compared))
+    difference = paired_bootstrap(psnr_db, compared_db)
+    return f"{difference.mean:+.2f} ({difference.low:+.2f} to {difference.high:+.2f})"
 
 
-def _notes(arms: Arms, made: Mapping[str, Sequence[Figures]]) -> list[str]:
-    seeds = sorted({one.seed for figures in made.values() for one in figures})
+def _notes(arms: Arms, figures_of: Mapping[str, Sequence[Figures]]) -> list[str]:
+    seeds = sorted({one.seed for figures in figures_of.values() for one in figures})
     notes = [
         "Measured on this machine and scene: quality, CPU seconds, bytes, sizes. Emulated: when the scene is done on the system's machines",
         "and links; methods on one machine have none, their CPU seconds are the time of one core. Scalability and privacy are what the",
@@ -259,18 +259,18 @@ def _notes(arms: Arms, made: Mapping[str, Sequence[Figures]]) -> list[str]:
         f"Radiance fields took {arms.field_steps:,} steps of 2,048 rays in all.",
     ]
     if seeds:
-        drawn = "held-out photographs" if len(seeds) == 1 else "seeds and held-out photographs"
-        notes.append(f"Means over seeds ({', '.join(map(str, seeds))}); bounds by a bootstrap over {drawn}.")
-        if fewer := [name for name, figures in made.items() if len(figures) < len(seeds)]:
-            notes.append(f"Not of all seeds yet: {', '.join(f'{name} ({len(made[name])})' for name in fewer)}.")
+        resampled = "held-out photographs" if len(seeds) == 1 else "seeds and held-out photographs"
+        notes.append(f"Means over seeds ({', '.join(map(str, seeds))}); bounds by a bootstrap over {resampled}.")
+        if fewer := [name for name, figures in figures_of.items() if len(figures) < len(seeds)]:
+            notes.append(f"Not of all seeds yet: {', '.join(f'{name} ({len(figures_of[name])})' for name in fewer)}.")
     if arms.lpips is None:
         notes.append(NO_LPIPS_REASON)
-    if any(one.flip is None for figures in made.values() for one in figures):
+    if any(one.flip is None for figures in figures_of.values() for one in figures):
         notes.append(NO_FLIP_REASON)
     return [*notes, "The paper's own figures, of other scenes, sizes and machines, are below and compare with nothing above:"]
 
 
-def _write(arms: Arms, methods: Sequence[Method], made: Mapping[str, Sequence[Figures]]) -> None:
+def _write(arms: Arms, methods: Sequence[Method], figures_of: Mapping[str, Sequence[Figures]]) -> None:
     arms.out.mkdir(parents=True, exist_ok=True)
-    text = "\n".join([f"# Table II from {arms.scene.name}", "", *table_lines(arms, methods, made), ""])
+    text = "\n".join([f"# Table II from {arms.scene.name}", "", *table_lines(arms, methods, figures_of), ""])
     write_atomic(Path(arms.out) / FILE, text.encode())

@@ -165,9 +165,9 @@ def peak_fma_per_s(threads: int = 1, rounds: int = 2_000_000) -> float:
         # A short round starts the threads; uneven starts and ends do not matter in the long one.
         for factor in (0.1, 4):
             start_s = time.perf_counter()
-            done = sum(pool.map(lambda _, n=int(factor * rounds): _native.multiply_adds(instruction_set, n), range(threads)))
+            num_multiplied = sum(pool.map(lambda _, n=int(factor * rounds): _native.multiply_adds(instruction_set, n), range(threads)))
             seconds = time.perf_counter() - start_s
-        return done / seconds
+        return num_multiplied / seconds
 
 
 def _peak_metric(rounds: int) -> Metric:

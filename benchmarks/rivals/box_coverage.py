@@ -41,10 +41,10 @@ def box_coverage(cameras: Cameras, low: ArrayLike, high: ArrayLike) -> FloatArra
     vertices, exists = _cut_at_near(in_camera, near_m)
     pixels = np.einsum("cij,ckj->cki", cameras.Ks, vertices)[..., :2] / vertices[..., 2:]
     width, height = cameras.sizes_wh.T.astype(np.float64)
-    seen, owners = np.unique(np.nonzero(exists)[0], return_inverse=True)
+    seeing, owners = np.unique(np.nonzero(exists)[0], return_inverse=True)
     hulls = shapely.convex_hull(shapely.multipoints(pixels[exists], indices=owners))
     shares = np.zeros(len(cameras))
-    shares[seen] = shapely.area(shapely.intersection(hulls, shapely.box(0, 0, width[seen], height[seen]))) / (width * height)[seen]
+    shares[seeing] = shapely.area(shapely.intersection(hulls, shapely.box(0, 0, width[seeing], height[seeing]))) / (width * height)[seeing]
     return shares
 
 

@@ -62,14 +62,14 @@ class BlockCodes(nn.Module):
     def forward(self, places: Tensor) -> Tensor:
         with torch.no_grad():
             xy = (places[:, :2] - 0.5) * (2 * (1 + SHELL))
-            return torch.cat([torch.cat([said, _outside(xy, box)], dim=1) for said, box in self._said(places)], dim=1)
+            return torch.cat([torch.cat([output, _outside(xy, box)], dim=1) for output, box in self._outputs(places)], dim=1)
 
-    def _said(self, places: Tensor) -> list[tuple[Tensor, Tensor]]:
-        said: list[tuple[Tensor, Tensor]] = []
+    def _outputs(self, places: Tensor) -> list[tuple[Tensor, Tensor]]:
+        outputs: list[tuple[Tensor, Tensor]] = []
         for block, box in zip(self.blocks, torch.as_tensor(self.boxes), strict=True):
             assert isinstance(block, RadianceField)
-            said.append((block.sigma(block.encoding(places)), box))
-        return said
+            outputs.append((block.sigma(block.encoding(places)), box))
+        return outputs
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,12 +92,12 @@ def drone_boxes(bounds: FieldBounds, centers: FloatArray, config: DroneConfig) -
 
 def cameras_of_blocks(scene: SfmScene, bounds: FieldBounds, boxes: Tensor, min_visible: float) -> NDArray[np.bool_]:
     """(C,B): by position each camera is of one block at least, by what it sees of more."""
-    own = _outside(torch.from_numpy(bounds.unit(scene.cameras.centers)[:, :2]).float()[:, None], boxes).squeeze(2).numpy() <= 1e-6
+    is_inside = _outside(torch.from_numpy(bounds.unit(scene.cameras.centers)[:, :2]).float()[:, None], boxes).squeeze(2).numpy() <= 1e-6
     inside = _outside(torch.from_numpy(bounds.unit(scene.points)[:, :2]).float()[:, None], boxes).squeeze(2).numpy() <= 0
     points, cameras = scene.observations.T
-    seen = np.stack([np.bincount(cameras, inside[points, b], len(scene.cameras)) for b in range(len(boxes))], axis=1)
+    num_visible = np.stack([np.bincount(cameras, inside[points, b], len(scene.cameras)) for b in range(len(boxes))], axis=1)
     total = np.bincount(cameras, minlength=len(scene.cameras))[:, None]
-    return own | ((seen >= min_visible * total) & (total > 0))
+    return is_inside | ((num_visible >= min_visible * total) & (total > 0))
 
 
 def fit_drone(
@@ -120,7 +120,7 @@ def fit_drone(
         block, moved = make_field(sizes, fit.seed + b), CameraMoves(len(scene.cameras))
         refined = options
         if config.pose_rate > 0:
-            refined = replace(options, moved=moved, beside=((moved.values, config.pose_rate),))
+            refined = replace(options, moved=moved, extra_parameters=((moved.values, config.pose_rate),))
         fit_field(block, pixels.of_views(np.flatnonzero(members[:, b])), replace(fit, num_steps=num_steps, seed=fit.seed + b), refined)
         blocks.append(block)
         moves.append(moved.values.detach())

@@ -145,8 +145,8 @@ def average_attributes(server: Splats, sent: Sequence[Local]) -> Splats:
     server's."""
     weights = np.stack([local.visible_steps for local in sent]).astype(np.float64)
     total = weights.sum(axis=0)
-    seen = total > 0
-    shares = weights / np.where(seen, total, 1)
+    has_weight = total > 0
+    shares = weights / np.where(has_weight, total, 1)
     arrays = server.arrays()
     for name in ATTRIBUTES:
         old = arrays[name]
@@ -157,7 +157,7 @@ def average_attributes(server: Splats, sent: Sequence[Local]) -> Splats:
         mean = sum(share.reshape(rows) * value for share, value in zip(shares, values, strict=True))
         if name == "quats":
             mean = unit_quats(mean)
-        arrays[name] = np.where(seen.reshape(rows), mean, old).astype(np.float32)
+        arrays[name] = np.where(has_weight.reshape(rows), mean, old).astype(np.float32)
     return Splats(**arrays, antialiased=server.antialiased)
 
 

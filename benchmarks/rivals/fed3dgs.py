@@ -115,14 +115,14 @@ def fed3dgs(models: Sequence[Splats], cameras: Sequence[Cameras], config: Fed3dg
     """
     if len(models) != len(cameras) or not models:
         raise BadInput(f"{len(models)} models with {len(cameras)} sets of cameras: give one set per client, at least one.")
-    for index, (model, own) in enumerate(zip(models, cameras, strict=True)):
-        _require_client(model, own, f"client {index}")
-    result, known = Fed3dgsResult(splats=models[0], merged=(0,)), [cameras[0]]
+    for index, (model, client_cameras) in enumerate(zip(models, cameras, strict=True)):
+        _require_client(model, client_cameras, f"client {index}")
+    result, merged_cameras = Fed3dgsResult(splats=models[0], merged=(0,)), [cameras[0]]
     waiting = list(range(1, len(models)))
     while ready := [index for index in waiting if overlaps(result.splats, models[index], cameras[index], config)]:
         index = ready[0]
         waiting.remove(index)
-        merged = fed3dgs_merge(result.splats, models[index], cameras[index], _number_cameras(known), config, options)
+        merged = fed3dgs_merge(result.splats, models[index], cameras[index], _number_cameras(merged_cameras), config, options)
         result = replace(
             merged,
             num_steps=result.num_steps + merged.num_steps,
@@ -130,7 +130,7 @@ def fed3dgs(models: Sequence[Splats], cameras: Sequence[Cameras], config: Fed3dg
             num_dropped=result.num_dropped + merged.num_dropped,
             merged=(*result.merged, index),
         )
-        known.append(cameras[index])
+        merged_cameras.append(cameras[index])
     return replace(result, refused=tuple(waiting))
 
 
@@ -161,13 +161,13 @@ def fed3dgs_merge(
     logits = np.where(faded, np.minimum(merged.logit_opacities, limit), merged.logit_opacities)
     num_steps = config.num_steps(len(views))
     fitted = _fit_opacities(replace(merged, logit_opacities=logits), trained, views, config, num_steps, options)
-    kept = ~trained | (fitted.logit_opacities > limit)
+    keep_mask = ~trained | (fitted.logit_opacities > limit)
     sizes = views.cameras.sizes_wh.prod(axis=1)
     return Fed3dgsResult(
-        splats=fitted.select(kept),
+        splats=fitted.select(keep_mask),
         num_steps=num_steps,
         num_training_pixels=sum(int(sizes[view_of_step(step, len(views), config.seed)]) for step in range(num_steps)),
-        num_dropped=int((~kept).sum()),
+        num_dropped=int((~keep_mask).sum()),
     )
 
 
@@ -184,17 +184,17 @@ def _require_client(model: Splats, cameras: Cameras, name: str) -> None:
 
 def _in_frusta(model: Splats, cameras: Cameras, far_m: float, config: Fed3dgsConfig) -> NDArray[np.bool_]:
     """Which Gaussians (N,) have their centre in a frustum widened to the limit of ndc."""
-    seen = np.zeros(len(model), bool)
+    in_frusta = np.zeros(len(model), bool)
     for depths, ndc in (_project(model, cameras, index) for index in range(len(cameras))):
-        seen |= (depths > 0) & (depths < far_m) & (np.abs(ndc) <= config.ndc_limit).all(axis=1)
-    return seen
+        in_frusta |= (depths > 0) & (depths < far_m) & (np.abs(ndc) <= config.ndc_limit).all(axis=1)
+    return in_frusta
 
 
 def _far_m(local: Splats, cameras: Cameras, config: Fed3dgsConfig) -> float:
     """Depth at which the client's frusta end; infinite where its cameras see no Gaussian of it."""
     depths = [z[(z > 0) & (np.abs(ndc) <= 1).all(axis=1)] for z, ndc in (_project(local, cameras, i) for i in range(len(cameras)))]
-    found = np.concatenate(depths)
-    return config.far_factor * float(np.median(found)) if len(found) else np.inf
+    in_front = np.concatenate(depths)
+    return config.far_factor * float(np.median(in_front)) if len(in_front) else np.inf
 
 
 def _project(model: Splats, cameras: Cameras, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -219,16 +219,16 @@ def _targets(
 ) -> TrainingViews:
     """V renders of the client and V of the global model at cameras drawn, with repeats, by how much
     of `local` they see; the client's alone where they see nothing of it."""
-    own = synthetic_views(local, local_cameras, backend)
+    rendered_locally = synthetic_views(local, local_cameras, backend)
     counts = np.array([other_cameras.select([index]).any_sees(local.means).sum() for index in range(len(other_cameras))], np.float64)
     if not counts.sum():
-        return replace(own, weights=None)
+        return replace(rendered_locally, weights=None)
     rng = np.random.default_rng((config.seed, len(other_cameras)))
-    drawn = np.sort(rng.choice(len(counts), size=len(local_cameras), p=counts / counts.sum()))
-    unique, first = np.unique(drawn, return_inverse=True)
+    rows = np.sort(rng.choice(len(counts), size=len(local_cameras), p=counts / counts.sum()))
+    unique, first = np.unique(rows, return_inverse=True)
     rendered = synthetic_views(global_model, other_cameras.select(unique), backend)
-    images = (*own.images, *(rendered.images[index] for index in first))
-    return TrainingViews(cameras=_number_cameras([local_cameras, *(other_cameras.select([index]) for index in drawn)]), images=images)
+    images = (*rendered_locally.images, *(rendered.images[index] for index in first))
+    return TrainingViews(cameras=_number_cameras([local_cameras, *(other_cameras.select([index]) for index in rows)]), images=images)
 
 
 def _number_cameras(parts: Sequence[Cameras]) -> Cameras:

@@ -82,13 +82,13 @@ def fit_fed(
         used: list[Tensor] = []
         for k, pixels in enumerate(clients):
             num_aligning = round(config.align_share * num_steps) if number else 0
-            own = replace(fit, num_steps=num_steps - num_aligning, seed=fit.seed + k)
+            local_fit = replace(fit, num_steps=num_steps - num_aligning, seed=fit.seed + k)
             if num_aligning:
-                align_poses(server, pixels, moves[k], replace(own, num_steps=num_aligning), config.align_rate)
+                align_poses(server, pixels, moves[k], replace(local_fit, num_steps=num_aligning), config.align_rate)
             local = deepcopy(server)
-            fit_field(local, pixels, own, replace(options, moved=_fixed(moves[k]), first_step=number * num_steps))
+            fit_field(local, pixels, local_fit, replace(options, moved=_fixed(moves[k]), first_step=number * num_steps))
             sent.append(local)
-            used.append(entries_used(local, pixels, moves[k], own, config.num_probes))
+            used.append(entries_used(local, pixels, moves[k], local_fit, config.num_probes))
         average_fields(server, sent, used, [len(pixels) for pixels in clients])
     num_entries = server.get_parameter(TABLE)[..., 0].numel()
     sent_bytes = len(clients) * BYTES_A_NUMBER * (num_parameters(server) + num_entries)
@@ -99,22 +99,22 @@ def fit_fed(
 def align_poses(field: RadianceField, pixels: PixelRays, move: SharedMove, fit: FitFieldConfig, rate: float) -> None:
     """Fit a client's `move`, in place, to what `field` shows; the field stays."""
     fixed = deepcopy(field).requires_grad_(False)
-    fit_field(fixed, pixels, replace(fit, seed=fit.seed + 1), FitFieldOptions(moved=move, beside=((move.values, rate),)))
+    fit_field(fixed, pixels, replace(fit, seed=fit.seed + 1), FitFieldOptions(moved=move, extra_parameters=((move.values, rate),)))
 
 
 def entries_used(field: RadianceField, pixels: PixelRays, move: SharedMove, fit: FitFieldConfig, num_rays: int) -> Tensor:
     """(L,T) how much of what some rays show comes from each entry of the grid."""
     grid = field.encoding
     assert isinstance(grid, HashGrid)
-    drawn = np.sort(np.random.default_rng((fit.seed, 2)).integers(0, len(pixels), num_rays))
-    rays = _fixed(move)(pixels.batch(drawn)[0].to(grid.table.device))
+    rows = np.sort(np.random.default_rng((fit.seed, 2)).integers(0, len(pixels), num_rays))
+    rays = _fixed(move)(pixels.batch(rows)[0].to(grid.table.device))
     grid.table.grad = torch.zeros_like(grid.table)
     for start in range(0, len(rays), RAYS_A_PART):
         with torch.no_grad():
-            shown = render_rays(field, rays.select(slice(start, start + RAYS_A_PART)), fit.sampling)
+            rendered = render_rays(field, rays.select(slice(start, start + RAYS_A_PART)), fit.sampling)
         # The derivative of Σ w · feature by an entry is the sum of its shares, weighted.
-        features = grid(grid_places(shown.places.reshape(-1, 3)))
-        (features * shown.weights.reshape(-1, 1)).sum().backward()
+        features = grid(grid_places(rendered.places.reshape(-1, 3)))
+        (features * rendered.weights.reshape(-1, 1)).sum().backward()
     used, grid.table.grad = grid.table.grad[..., 0].clone(), None
     return used
 
@@ -125,8 +125,8 @@ def average_fields(server: RadianceField, sent: Sequence[RadianceField], used: S
     total = torch.stack(list(used)).sum(dim=0)
     mean = {name: _mean([state[name] for state in states], num_pixels) for name in states[0] if name != TABLE}
     weighted = torch.stack([state[TABLE] * use[..., None] for state, use in zip(states, used, strict=True)]).sum(dim=0)
-    known = (total > 0)[..., None]
-    mean[TABLE] = torch.where(known, weighted / total[..., None].clamp(min=1e-30), server.state_dict()[TABLE])
+    is_used = (total > 0)[..., None]
+    mean[TABLE] = torch.where(is_used, weighted / total[..., None].clamp(min=1e-30), server.state_dict()[TABLE])
     server.load_state_dict(mean)
 
 

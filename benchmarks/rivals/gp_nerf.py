@@ -61,12 +61,12 @@ class DensePlanes(nn.Module):
         self.num_features = config.num_features * len(shapes)
 
     def forward(self, places: Tensor) -> Tensor:
-        seen = [(2 * places[:, axes] - 1)[None, :, None] for axes in AXES]
-        found = [
-            grid_sample(level, seen[number % len(AXES)], padding_mode="border", align_corners=True)[0, :, :, 0]
+        coordinates = [(2 * places[:, axes] - 1)[None, :, None] for axes in AXES]
+        features = [
+            grid_sample(level, coordinates[number % len(AXES)], padding_mode="border", align_corners=True)[0, :, :, 0]
             for number, level in enumerate(self.levels)
         ]
-        return torch.cat(found).T
+        return torch.cat(features).T
 
 
 class GridAndPlanes(nn.Module):

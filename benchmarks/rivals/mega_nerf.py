@@ -69,9 +69,9 @@ class MegaField(nn.Module):
     def forward(self, places: Tensor, directions: Tensor) -> Sampled:
         densities, colors = places.new_zeros(len(places)), places.new_zeros(len(places), 3)
         for cell, rows, weights in self._shares(places):
-            found = cell(places[rows], directions[rows])
-            densities[rows] += weights * found.densities
-            colors[rows] += weights[:, None] * found.colors
+            sampled = cell(places[rows], directions[rows])
+            densities[rows] += weights * sampled.densities
+            colors[rows] += weights[:, None] * sampled.colors
         return Sampled(densities, colors, places.new_zeros(()))
 
     def _shares(self, places: Tensor) -> list[tuple[RadianceField, Tensor, Tensor]]:
@@ -126,9 +126,9 @@ def fit_mega(pixels: PixelRays, sizes: FieldConfig, fit: FitFieldConfig, config:
     for k in range(len(centroids)):
         if not owned[:, k].any():
             raise BadInput(f"no ray passes near cell {k} of {config.columns} × {config.rows}: use fewer cells.")
-        own = replace(fit, num_steps=max(1, round(fit.num_steps / len(centroids))), seed=fit.seed + k)
-        cells.append(make_field(sizes, own.seed))
-        fit_field(cells[-1], pixels.select(owned[:, k]), own, options)
+        cell_fit = replace(fit, num_steps=max(1, round(fit.num_steps / len(centroids))), seed=fit.seed + k)
+        cells.append(make_field(sizes, cell_fit.seed))
+        fit_field(cells[-1], pixels.select(owned[:, k]), cell_fit, options)
     return MegaField(cells, centroids, config.margin)
 
 

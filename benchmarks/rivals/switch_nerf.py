@@ -58,14 +58,14 @@ class SwitchNetwork(nn.Module):
         learns = self.training and torch.is_grad_enabled()
         output = features.new_zeros(len(features), self.num_outputs)
         for number, expert in enumerate(self.experts):
-            rows = self._taken(torch.nonzero(chosen == number).squeeze(1), gates, limited=learns)
+            rows = self._within_room(torch.nonzero(chosen == number).squeeze(1), gates, limited=learns)
             output = output.index_put((rows,), gates[rows, None] * expert(features[rows]))
         if not learns:
             return output, features.new_zeros(())
         counts = torch.bincount(chosen, minlength=len(self.experts)) / len(chosen)
         return output, self.config.balance * len(self.experts) * (counts * shares.mean(dim=0)).sum()
 
-    def _taken(self, rows: Tensor, gates: Tensor, *, limited: bool) -> Tensor:
+    def _within_room(self, rows: Tensor, gates: Tensor, *, limited: bool) -> Tensor:
         """Of an expert's places those that it has room for."""
         room = math.ceil(self.config.capacity * len(gates) / len(self.experts))
         if not limited or len(rows) <= room:

@@ -114,16 +114,16 @@ def vast_cells(scene: SfmScene, m: int, n: int, config: VastGaussianConfig = Vas
     cells = []
     for column, members in enumerate(columns):
         rows, y_edges = _equal_groups(members, xy[members, 1], n)
-        for row, own in enumerate(rows):
+        for row, cell_rows in enumerate(rows):
             bounds = np.array([[x_edges[column], y_edges[row]], [x_edges[column + 1], y_edges[row + 1]]])
-            cameras, points = _select_for_cell(scene, own, bounds, config)
+            cameras, points = _select_for_cell(scene, cell_rows, bounds, config)
             cells.append(
                 VastCell(
                     column=column,
                     row=row,
                     bounds=check_array("bounds", bounds, (2, 2)),
                     is_outer=np.array([[column == 0, row == 0], [column == m - 1, row == n - 1]]),
-                    own_cameras=np.sort(own),
+                    own_cameras=np.sort(cell_rows),
                     cameras=cameras,
                     points=points,
                 )
@@ -165,13 +165,13 @@ def _equal_groups(members: NDArray[np.int64], places: FloatArray, count: int) ->
 
 
 def _select_for_cell(
-    scene: SfmScene, own: NDArray[np.int64], bounds: FloatArray, config: VastGaussianConfig
+    scene: SfmScene, cell_rows: NDArray[np.int64], bounds: FloatArray, config: VastGaussianConfig
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Cameras and points of the cell with `bounds` (2,2), by position, visibility and coverage."""
     margin = config.widen * (bounds[1] - bounds[0])
     low, high = bounds[0] - margin, bounds[1] + margin
     chosen = _inside(scene.cameras.centers, low, high)
-    chosen[own] = True
+    chosen[cell_rows] = True
     chosen |= box_coverage(scene.cameras, *_airspace(scene, bounds, config)) >= config.min_coverage
     cameras = np.flatnonzero(chosen)
     return cameras, np.union1d(np.flatnonzero(_inside(scene.points, low, high)), scene.seen_by(cameras))

@@ -166,7 +166,7 @@ def _next_state(event: Event) -> StageState | None:
     if isinstance(event, StageProgress):
         time_left = "" if event.left_s is None else f"about {clock_text(max(1.0, event.left_s))} left"
         note = ", ".join(text for text in (event.doing, event.note, time_left) if text)
-        return StageState(stage=event.stage, state="running", done=event.done, total=event.total, note=note)
+        return StageState(stage=event.stage, state="running", completed=event.done, total=event.total, note=note)
     if isinstance(event, StageDone):
         return StageState(stage=event.stage, state="done", seconds=event.seconds)
     if isinstance(event, StageSkipped):

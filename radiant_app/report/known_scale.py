@@ -37,7 +37,7 @@ def page_scale(run: RunView) -> PageScale:
     scale, unit = scale_of_run(run), run.unit
     gsd = sampling_distance(run.scene)
     place = 0.0 if gsd is None else PLACE_GSD * gsd
-    return PageScale(unit=unit, scale_sigma=scale.sigma, place_sigma=place, said=scale.text, ground=ground_height(run.scene))
+    return PageScale(unit=unit, scale_sigma=scale.sigma, place_sigma=place, note=scale.text, ground=ground_height(run.scene))
 
 
 def known_scale(scene: SfmScene, survey: Mapping[str, Any] | None) -> KnownScale:

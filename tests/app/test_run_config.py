@@ -15,6 +15,7 @@ from radiant_app.cli.app import app
 from radiant_app.config.fields import config_of, tables_of, train_options, values_of, with_settings
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.pipeline import run
+from radiant_core.aggregate.config import Refine
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.train.config import train_preset
@@ -118,6 +119,7 @@ def test_a_configuration_comes_back_from_its_tables(asked: RunConfig) -> None:
         ('"even"', '"magic"', "plan.method is 'magic'; expected 'exact', 'paper', 'paper-literal' or 'even'"),
         ('system = "fleet.toml"', 'system = ""', "system is ''; string should have at least 1 character"),
         ('source = "photos"', "", "source is missing"),
+        ("cloud_epochs", "refine_epochs", "aggregate.refine_epochs is not a key of a run file: it is refine.epochs now."),
         ("[train]", "[train", "not a TOML file"),
     ],
 )
@@ -154,6 +156,8 @@ def test_what_is_set_is_a_forced_decision() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
+        (["aggregate.refine_rounds=2"], r"sets nothing: it is refine\.rounds now\.$"),
+        (["refine.epoch=2"], r"did you mean refine\.epochs\?"),
         (["train.colour=red"], "expected PATH=VALUE with one of .*train.sh_degree"),
         (["colour=red"], r"expected PATH=VALUE with one of source, .*train\.…"),
         (["light=auto"], r"use train\.light\."),
@@ -190,9 +194,20 @@ def test_a_training_takes_no_setting_of_a_run(tmp_path: Path) -> None:
 
 def test_a_value_out_of_range_is_refused_before_the_run_begins() -> None:
     of_no_policy = {"train.density.kind": "mcmc", "train.density.reset_opacity_every": 5}
-    for values in ({"train.start_scale": 2.0}, {"aggregate.edge_epochs": 0}, of_no_policy):
-        with pytest.raises(BadInput, match=r"start_scale is 2|edge_epochs|reset_opacity_every is no setting of 'mcmc'"):
+    for values in ({"train.start_scale": 2.0}, {"aggregate.edge_epochs": 0}, {"refine.rounds": 0}, of_no_policy):
+        with pytest.raises(
+            BadInput, match=r"start_scale is 2|edge_epochs|rounds of refining is 0|reset_opacity_every is no setting of 'mcmc'"
+        ):
             config_of({"source": Path("photos"), "out": Path("run"), **values})
+
+
+def test_refining_has_a_section_of_its_own_beside_the_preset_of_joining() -> None:
+    where = {"source": Path("photos"), "out": Path("run")}
+    assert config_of({**where, "refine.rounds": 2}).joining.refine == Refine(rounds=2)
+    paper = {**where, "aggregate.preset": "paper"}
+    assert not config_of(paper).joining.refine.is_asked_for and config_of({**paper, "refine.epochs": 1}).joining.refine.is_asked_for
+    with pytest.raises(BadInput, match="0 epochs at the cloud leave the models to the devices"):
+        config_of({**where, "aggregate.cloud_epochs": 0, "refine.epochs": 0})
 
 
 def test_devices_of_a_run_are_planned_for_one_training_each() -> None:

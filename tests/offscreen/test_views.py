@@ -55,11 +55,11 @@ def seams_of(town: Town) -> Image:
 
 def test_a_planted_seam_is_found_at_its_borders_and_no_unplanted_one_anywhere() -> None:
     plain, planted = made_up_town(), made_up_town(step_levels=40)
-    assert [finding.found for finding in seam_findings(plain.scene, plain.cloud_plan, plain.splats)] == [False] * 3
+    assert [finding.has_seam for finding in seam_findings(plain.scene, plain.cloud_plan, plain.splats)] == [False] * 3
     findings = seam_findings(planted.scene, planted.cloud_plan, planted.splats)
     # "harbour", region 1, is brighter: its two borders step, the third does not.
     assert [1 in (finding.figures.border.first, finding.figures.border.second) for finding in findings] == [True, True, False]
-    assert [finding.found for finding in findings] == [True, True, False]
+    assert [finding.has_seam for finding in findings] == [True, True, False]
     assert [finding.figures.step_levels for finding in findings[:2]] == pytest.approx([40, 40], abs=6)
     # The upper third of viridis, green to yellow, marks what is strong: without a seam it stands in
     # the colour bar alone.

@@ -63,7 +63,7 @@ def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> d
     user = Newcomer(window)
     user.drop(photos)
     until(lambda: window.command, "nothing was said of the photographs", PATIENCE_S)
-    usual = {"title": window.found["title"], "command": window.command, "forecast": window.forecast.text()}
+    usual = {"title": window.found_source["title"], "command": window.command, "forecast": window.forecast.text()}
     places = len(window.map.canvas.actors.get("Places", ()))
     window.quality.button(2).click()
     until(lambda: "--steps" in window.command, "no finer command came", PATIENCE_S)
@@ -77,14 +77,14 @@ def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> d
     cell = window.machines.table.item(0, 2)
     assert cell is not None
     cell.setText("many")
-    until(window.machines.said.text, "a wrong number was taken", PATIENCE_S)
-    refused = window.machines.said.text()
+    until(window.machines.message.text, "a wrong number was taken", PATIENCE_S)
+    refused = window.machines.message.text()
     window.machines.kind.setCurrentText("This machine alone")
     user.drop(flight)
     until(lambda: window.command and window.command[0] == "plan", "nothing was said of the flight", PATIENCE_S)
-    flown = {"title": window.found["title"], "command": window.command}
+    flown = {"title": window.found_source["title"], "command": window.command}
     user.drop(out)
-    until(lambda: not window.found and "Looking" not in window.source.text.text(), "nothing was said of an empty folder", PATIENCE_S)
+    until(lambda: not window.found_source and "Looking" not in window.source.text.text(), "nothing was said of an empty folder", PATIENCE_S)
     return {
         "usual": usual,
         "places": places,
@@ -112,15 +112,15 @@ def train(window: StartWindow, photos: Path, out: Path) -> dict[str, Any]:
     until(lambda: _seen(InspectorWindow), "no plan came", PATIENCE_S)
     first = _seen(InspectorWindow)
     dock = first.docks.progress
-    until(lambda: not dock.stop.isHidden() or not dock.shown.is_running, "it cannot be stopped", PATIENCE_S)
-    stopped = dock.shown.is_running
+    until(lambda: not dock.stop.isHidden() or not dock.progress.is_running, "it cannot be stopped", PATIENCE_S)
+    stopped = dock.progress.is_running
     if stopped:
         dock.stop.click()
-    until(lambda: not _dock().shown.is_running, "it did not stop", PATIENCE_S)
-    after_stop = _dock().shown.status
+    until(lambda: not _dock().progress.is_running, "it did not stop", PATIENCE_S)
+    after_stop = _dock().progress.status
     if after_stop == "interrupted":
         _dock().resume.click()
-    until(lambda: _dock().shown.status == "done", "it did not go on", 2 * PATIENCE_S)
+    until(lambda: _dock().progress.status == "done", "it did not go on", 2 * PATIENCE_S)
     until(lambda: _seen(InspectorWindow).model is not None, "the model did not come", PATIENCE_S)
     return {
         "actions": actions,

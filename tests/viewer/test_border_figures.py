@@ -86,7 +86,7 @@ def test_without_photographs_of_a_border_there_is_no_verdict(unseen: Callable[[S
     assert [one.has_verdict for one in figures] == [False] * 3
     assert all(one.worst is None and np.isnan(one.step_levels) and one.observed_length == 0 for one in figures)
     findings = seam_findings(scene, town.cloud_plan, town.splats)
-    assert not any(finding.found for finding in findings)
+    assert not any(finding.has_seam for finding in findings)
     text = verdict_text(findings, "m")
     assert text.startswith("No verdict") and "levels" not in text
     stops = seam_stops(scene, town.cloud_plan, town.splats)
@@ -163,7 +163,7 @@ def test_a_seam_that_photographs_show_is_found_without_a_step(tmp_path: Path) ->
     proven = proven_excess_db(tmp_path)
     assert proven == {frozenset({"north", "harbour"}): 1.5}
     findings = seam_findings(town.scene, town.cloud_plan, town.splats, proven)
-    assert {finding.figures.names: finding.excess_db for finding in findings if finding.found} == {("north", "harbour"): 1.5}
+    assert {finding.figures.names: finding.excess_db for finding in findings if finding.has_seam} == {("north", "harbour"): 1.5}
     assert verdict_text(findings, "m").startswith("Seam found at 1 of 3 borders")
     hidden = seam_findings(without_cameras(town.scene), town.cloud_plan, town.splats, proven)
     assert verdict_text(hidden, "m") == "Photographs show a seam at 1 of 3 borders"

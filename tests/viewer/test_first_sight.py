@@ -45,13 +45,13 @@ def drive():
         tree = window.layer_dock
         window.select_index(0)
         tree.set_solo("Borders")
-        seen["marks in solo"] = window._marks.shown
+        seen["marks in solo"] = window._marks.visible_names
         window.select_index(1)
-        seen["selected in solo"] = window._marks.shown
+        seen["selected in solo"] = window._marks.visible_names
         grey = [name for name, item in tree._items.items() if item.foreground(0).style().value]
         seen["grey in solo"] = len(grey) == len(tree._items) - 1 and "Borders" not in grey
         tree.set_solo(None)
-        seen["marks afterwards"] = window._marks.shown
+        seen["marks afterwards"] = window._marks.visible_names
         seen["grey afterwards"] = any(item.foreground(0).style().value for item in tree._items.values())
         window.save_window_picture(Path(picture))
         if resized:

@@ -162,6 +162,6 @@ def test_a_ply_from_elsewhere_is_shown_and_a_broken_one_refused(tmp_path: Path) 
 
 def test_how_much_of_a_stage_is_done() -> None:
     assert StageState(stage="sfm", state="running").share is None
-    assert StageState(stage="sfm", state="running", done=3, total=4).share == 0.75
-    assert StageState(stage="sfm", state="running", done=9, total=4).share == 1
+    assert StageState(stage="sfm", state="running", completed=3, total=4).share == 0.75
+    assert StageState(stage="sfm", state="running", completed=9, total=4).share == 1
     assert StageState(stage="sfm", state="skipped").share == 1

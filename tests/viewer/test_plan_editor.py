@@ -284,10 +284,10 @@ def test_every_kind_of_edit_is_written_and_read_back(tmp_path: Path) -> None:
         ReleaseAll(),
     )
     adopted = AdoptPlan(name="other", cloud=plan[0], edges=plan[1])
-    save_edits(tmp_path / "e.json", "k", EditHistory(done=(*edits, adopted)))
+    save_edits(tmp_path / "e.json", "k", EditHistory(edits=(*edits, adopted)))
     kept, told = load_edits(tmp_path / "e.json", "k")
-    assert told == "" and kept.done[:-1] == edits
-    last = kept.done[-1]
+    assert told == "" and kept.edits[:-1] == edits
+    last = kept.edits[-1]
     assert isinstance(last, AdoptPlan) and same((last.cloud, last.edges), plan)
     for record in (
         None,

@@ -21,7 +21,7 @@ from tests.viewer.made_up_run import made_up_town, save_run
 
 DEADLINE_S = 120
 SIZE_WH = (760, 460)
-SCALE = PageScale(unit="m", scale_sigma=0.01, place_sigma=0.02, said="scale by GPS, σ 1 %", ground=0.0)
+SCALE = PageScale(unit="m", scale_sigma=0.01, place_sigma=0.02, note="scale by GPS, σ 1 %", ground=0.0)
 ON_SCREEN = """(point) => {
   const camera = radiantViewer.app.root.findByName('camera').camera, v = camera.viewMatrix.data, p = camera.projectionMatrix.data;
   const times = (m, q) => [0, 1, 2, 3].map((row) => m[row] * q[0] + m[row + 4] * q[1] + m[row + 8] * q[2] + m[row + 12] * q[3]);

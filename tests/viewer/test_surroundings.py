@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiant_core.geometry.cleaning_file import cleaning_path
-from radiant_viewer.open3d_window.shown import load_shown
+from radiant_viewer.open3d_window.content import load_content
 from radiant_viewer.runs.run_layers import hidden_at_first, run_layers
 from radiant_viewer.runs.run_pictures import screenshot
 from radiant_viewer.runs.run_view import load_run_view
@@ -122,7 +122,7 @@ def test_page_headless_pictures_and_open3d_leave_it_out_too(run: Path) -> None:
     assert SURROUNDINGS in hidden_at_first(layers)
     (legend,) = next(layer for layer in layers if layer.name == SURROUNDINGS).legend
     assert legend.text == "600 Gaussians, 6.2 %"
-    assert (open3d := load_shown(run).splats) is not None and len(open3d) == TOWN_GAUSSIANS
+    assert (open3d := load_content(run).splats) is not None and len(open3d) == TOWN_GAUSSIANS
 
 
 def test_a_page_is_older_than_a_cleaning_until_it_is_made_anew(tmp_path: Path) -> None:

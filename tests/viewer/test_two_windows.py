@@ -17,7 +17,7 @@ FIRST, SECOND = LockRegion(edge="edge-1"), MoveEdge(edge="edge-2", position=(90.
 
 
 def edits_in(path: Path, editor: PlanEditor) -> list[Edit]:
-    return list(load_edits(path, plan_key(editor.base.cloud, editor.base.edges))[0].done)
+    return list(load_edits(path, plan_key(editor.base.cloud, editor.base.edges))[0].edits)
 
 
 def two_editors(folder: Path) -> tuple[PlanEditor, PlanEditor, Path]:

@@ -37,7 +37,7 @@ from tests.viewer.window_tour import (
     until,
 )
 
-AT_WORK = (StageState(stage="devices/a", state="running", done=1, total=4),)
+AT_WORK = (StageState(stage="devices/a", state="running", completed=1, total=4),)
 ROW = GanttRow(name="devices/a", predicted=(TimelineSpan(stage="train", start_s=0, stop_s=9),))
 BEGUN = RunProgress(stages=(StageState(stage="sfm", state="running"),), is_running=True, status="running")
 given = SimpleNamespace(
@@ -115,7 +115,7 @@ def live(window):
     row = "edges/e: offline since 14:05, edges/e taken, 212 of 310 MB"
     machines = (row, "edges/f: joined")
     given.progress = RunProgress(stages=(done, StageState(stage="edges/e", state="done", seconds=2.0)), status="done", machines=machines)
-    dock.read()
+    dock.refresh()
     assert dock.machines.isVisibleTo(dock) and dock.machines.text().splitlines() == list(machines)
     assert dock.table.rowCount() == 2 and "run ended (done)" in window.statusBar().currentMessage()
     window.save_screenshot(given.out / "shot.png")

@@ -49,7 +49,7 @@ def test_poses_that_are_off_are_moved_back() -> None:
     before = [parameter.clone() for parameter in field.parameters()]
     _, strayed = floor_scene(offset_m=0.3)
     move = SharedMove()
-    options = FitFieldOptions(moved=move, beside=((move.values, 3e-3),))
+    options = FitFieldOptions(moved=move, extra_parameters=((move.values, 3e-3),))
     fit_field(field.requires_grad_(False), PixelRays.of(strayed, bounds), replace(FIT, num_steps=60), options)
     # The cameras are told to stand 0.3 m too far along x.
     assert float(move.values.detach()[3]) * bounds.radius_m == pytest.approx(-0.3, abs=0.1)

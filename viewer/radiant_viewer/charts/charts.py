@@ -141,15 +141,15 @@ def key_width_px(text: str) -> float:
     return 22 + 7.4 * len(text) + 26
 
 
-def stage_colors(found: Iterable[str]) -> dict[str, tuple[float, float, float]]:
-    """Return the colour of each stage found, in the order of the key."""
-    found = list(found)
-    stages = [stage for stage in STAGE_COLORS if stage in found] + [stage for stage in found if stage not in STAGE_COLORS]
+def stage_colors(stage_names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
+    """Return the colour of each stage of a chart, in the order of the key."""
+    stage_names = list(stage_names)
+    stages = [stage for stage in STAGE_COLORS if stage in stage_names] + [stage for stage in stage_names if stage not in STAGE_COLORS]
     others = [stage for stage in stages if stage not in STAGE_COLORS]
     chosen = {stage: OTHER_COLORS[index % len(OTHER_COLORS)] for index, stage in enumerate(others)}
     return {stage: unit_rgb({**STAGE_COLORS, **chosen}[stage]) for stage in stages}
 
 
-def _require_same_size(photo: Image, other: Image) -> None:
-    if photo.shape != other.shape or photo.ndim != 3 or photo.shape[2] != 3 or 0 in photo.shape:
-        raise BadInput(f"a photograph of shape {photo.shape} is set beside a picture of {other.shape}, expected equal (H, W, 3).")
+def _require_same_size(photo: Image, picture: Image) -> None:
+    if photo.shape != picture.shape or photo.ndim != 3 or photo.shape[2] != 3 or 0 in photo.shape:
+        raise BadInput(f"a photograph of shape {photo.shape} is set beside a picture of {picture.shape}, expected equal (H, W, 3).")

@@ -51,26 +51,26 @@ def gantt_picture(rows: Sequence[GanttRow], title: str, detail: str = "", width_
         raise BadInput("there is no Gantt chart to draw: no machine has a stage with a time.")
     if width_px < 640:
         raise BadInput(f"a Gantt chart of {width_px} px was asked for, expected at least 640 px.")
-    shown = _slowest_rows(rows)
-    if len(shown) < len(rows):
-        detail = f"{detail}   ·   the {len(shown)} slowest of {len(rows)} machines".lstrip(" ·")
+    slowest = _slowest_rows(rows)
+    if len(slowest) < len(rows):
+        detail = f"{detail}   ·   the {len(slowest)} slowest of {len(rows)} machines".lstrip(" ·")
     both = any(row.measured for row in rows) and any(row.predicted for row in rows)
-    label_px = min(width_px // 3, max(LABEL_PX, 24 + int(7.2 * max(len(row.name) for row in shown))))
-    right_px = max(RIGHT_PX, 18 + int(6.6 * max(len(_note(row)) for row in shown)))
+    label_px = min(width_px // 3, max(LABEL_PX, 24 + int(7.2 * max(len(row.name) for row in slowest))))
+    right_px = max(RIGHT_PX, 18 + int(6.6 * max(len(_note(row)) for row in slowest)))
     top_px = TOP_PX if title else TOP_PX - TITLE_PX
-    height_px = top_px + ROW_PX * len(shown) + FOOT_PX
+    height_px = top_px + ROW_PX * len(slowest) + FOOT_PX
     figure = new_figure((width_px, height_px))
     figure.set_facecolor(hex_color(theme.field))
     figure.text(16 / width_px, 1 - 14 / height_px, title, size=14, weight="bold", color=hex_color(theme.ink), va="top")
     detail_px = top_px - TOP_PX + 40
     figure.text(16 / width_px, 1 - detail_px / height_px, detail, size=9.5, color=hex_color(theme.soft_text), va="top")
-    axes = axes_at(figure, (label_px, FOOT_PX, width_px - label_px - right_px, ROW_PX * len(shown)))
+    axes = axes_at(figure, (label_px, FOOT_PX, width_px - label_px - right_px, ROW_PX * len(slowest)))
     end_s = max(span.stop_s for span in spans)
     unit_s, unit = time_unit(end_s)
     colors = stage_colors(dict.fromkeys(span.stage for span in spans))
-    for index, row in enumerate(shown):
+    for index, row in enumerate(slowest):
         _draw_row(axes, index, row, unit_s, colors, theme)
-    names = [(row.name, row.strong) for row in shown]
+    names = [(row.name, row.strong) for row in slowest]
     style_time_axes(axes, names, max(end_s / unit_s, 1e-9), f"Time since the devices began ({unit})", theme)
     keys = axes_at(figure, (16, height_px - top_px + 8, width_px - 32, 34))
     kinds = ("predicted", "measured") if both else ("predicted",) if any(row.predicted for row in rows) else ("measured",)
@@ -95,16 +95,16 @@ def _note(row: GanttRow) -> str:
 def _draw_row(axes: Axes, index: int, row: GanttRow, unit_s: float, colors: dict[str, Color], theme: Theme) -> None:
     ground = hex_color(theme.field)
     halves = ((row.predicted, True), (row.measured, False))
-    drawn = [(spans, is_plan) for spans, is_plan in halves if spans]
-    height = 0.62 if len(drawn) == 1 else 0.36
-    for place, (spans, is_plan) in enumerate(drawn):
-        middle = index if len(drawn) == 1 else index + (place - 0.5) * 0.4
+    bars = [(spans, is_plan) for spans, is_plan in halves if spans]
+    height = 0.62 if len(bars) == 1 else 0.36
+    for place, (spans, is_plan) in enumerate(bars):
+        middle = index if len(bars) == 1 else index + (place - 0.5) * 0.4
         for span in spans:
             start, length = span.start_s / unit_s, (span.stop_s - span.start_s) / unit_s
             color = colors[span.stage]
             face = (*color[:3], PALE) if is_plan else color
             axes.barh(middle, length, left=start, height=height, color=face, edgecolor=color if is_plan else ground, linewidth=0.8)
-    if drawn:
+    if bars:
         place, ink = (row.stop_s / unit_s, index), hex_color(theme.ink)
         axes.annotate(_note(row), place, xytext=(6, 0), textcoords="offset points", size=9, va="center", color=ink)
 

@@ -32,10 +32,10 @@ class FlownLine:
     aims: FloatArray
 
 
-def known_picture(found: KnownMap, unit: str, flights: Sequence[FlownLine] = ()) -> Image:
+def known_picture(known_map: KnownMap, unit: str, flights: Sequence[FlownLine] = ()) -> Image:
     """Return three panels (H,W,3): photographs per cell, predicted error, and what is weak under
     the proposed flights."""
-    grid, bands = found.facets.surface.grid, found.bands(NO_DATA).astype(np.float64)
+    grid, bands = known_map.facets.surface.grid, known_map.bands(NO_DATA).astype(np.float64)
     bands[bands == NO_DATA] = np.nan
     height_px = int(np.clip((PANEL_PX - LEFT_PX - BAR_PX) * grid.rows / grid.columns, 180, 900))
     figure = titled_figure((3 * PANEL_PX, height_px + TOP_PX + FOOT_PX), "What is known of the surface")

@@ -61,8 +61,8 @@ def partitions_picture(
         left = GAP_PX + index % columns * (CELL_PX + GAP_PX)
         top = height - TITLE_PX - index // columns * row_px
         figure.text(left / width, top / height, partition.name, size=11, weight="bold", color=INK_COLOR, va="top")
-        said = f"makespan {duration_text(float(partition.edge_time_s.max()))}" + (f", {partition.note}" if partition.note else "")
-        figure.text(left / width, (top - 19) / height, said, size=9, color=SOFT_COLOR, va="top")
+        note = f"makespan {duration_text(float(partition.edge_time_s.max()))}" + (f", {partition.note}" if partition.note else "")
+        figure.text(left / width, (top - 19) / height, note, size=9, color=SOFT_COLOR, va="top")
         _draw_map(axes_at(figure, (left, top - HEAD_PX - map_px, CELL_PX, map_px)), positions, partition, len(edge_ids), (low, high))
         bars = axes_at(figure, (left, top - HEAD_PX - map_px - BARS_PX, CELL_PX, BARS_PX - 22))
         _draw_bars(bars, partition.edge_time_s / unit_s, edge_ids, slowest_s / unit_s)
@@ -70,8 +70,8 @@ def partitions_picture(
 
 
 def _draw_map(axes: Axes, positions: FloatArray, partition: Partition, num_edges: int, box: tuple[FloatArray, FloatArray]) -> None:
-    shown = slice(None, None, -(-len(positions) // MAX_DOTS))
-    dots, owners = positions[shown], partition.edge_of_camera[shown]
+    thinned = slice(None, None, -(-len(positions) // MAX_DOTS))
+    dots, owners = positions[thinned], partition.edge_of_camera[thinned]
     size = float(np.clip(9000 / len(dots), 1.5, 28))
     owned = owners >= 0
     axes.scatter(*dots[owned].T, s=size, c=category_colors(num_edges)[owners[owned]] / 255, linewidths=0)

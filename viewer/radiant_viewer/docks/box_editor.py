@@ -32,8 +32,8 @@ class BoxEditor(QWidget):
     def __init__(self, host: Host, session: CleaningSession | None, unit: str) -> None:
         super().__init__()
         self._host, self._session = host, session
-        drawn = framing_positions(host.layers)
-        self._extent = np.stack([drawn.min(axis=0), drawn.max(axis=0)])
+        positions = framing_positions(host.layers)
+        self._extent = np.stack([positions.min(axis=0), positions.max(axis=0)])
         self.active = QCheckBox("Box: hide what lies outside")
         self.active.setToolTip("Show and cut by the box; drag its handles in the 3D view, or type its sides (B)")
         self.active.toggled.connect(self._on_toggled)
@@ -116,10 +116,10 @@ class BoxEditor(QWidget):
         """Say how many Gaussians the box holds."""
         if self._session is None:
             return
-        left = len(self._session.model.splats)
+        count = len(self._session.model.splats)
         is_empty = bool((np.diff(self.box, axis=0) <= 0).any())
-        inside = 0 if is_empty else left - self._session.count(box_step(self.box))
-        self.count.setText(f"{inside:,} of {left:,} inside")
+        inside = 0 if is_empty else count - self._session.count(box_step(self.box))
+        self.count.setText(f"{inside:,} of {count:,} inside")
 
     def _first_box(self) -> FloatArray:
         middle, half = self._extent.mean(axis=0), np.ptp(self._extent, axis=0) / 2

@@ -92,12 +92,12 @@ class CameraDock(QDockWidget):
         self._run = run
         self.cameras.show_run(run)
 
-    def color_by(self, what: str) -> None:
+    def color_by(self, coloring: str) -> None:
         """Colour the cameras by a key of `COLORINGS`; the layers of the others are hidden."""
         for name, layer in COLORINGS.items():
             if self.coloring.findText(name) >= 0:
-                self._host.set_layer_visible(layer, name == what)
-        self.coloring.setCurrentText(what)
+                self._host.set_layer_visible(layer, name == coloring)
+        self.coloring.setCurrentText(coloring)
 
     def shown_order(self) -> list[int]:
         """Return the indices of the cameras as they are filtered and sorted."""

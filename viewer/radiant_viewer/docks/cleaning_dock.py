@@ -44,7 +44,7 @@ from radiant_viewer.runs.cleaning_session import CleaningSession
 
 MARK, HINT = "Polygon", "Cleaning: click the corners of a polygon on the map, then keep or leave out its inside; Backspace takes one back."
 USUAL_OPACITY, USUAL_MARGIN = 0.05, 10.0
-REST, FIELD_PX = "Leave out rest", 104
+LEAVE_OUT, FIELD_PX = "Leave out rest", 104
 WITHOUT_SUPPORT = "Not measured for this model: run 'radiant clean RUN --measure' in a terminal"
 
 
@@ -74,8 +74,8 @@ class CleaningDock(QDockWidget):
         self.views.setSuffix(" photos")
         self.opacity = _spin(0.001, 0.999, USUAL_OPACITY, "", 3)
         self.width_limit = _spin(1e-4, 1e6, 1.0 if session is None else haze_size(session.model.whole), f" {unit}", 3)
-        self.keep_region, self.keep_support = QPushButton(REST), QPushButton(REST)
-        self.keep_opacity, self.keep_size = QPushButton(REST), QPushButton(REST)
+        self.keep_region, self.keep_support = QPushButton(LEAVE_OUT), QPushButton(LEAVE_OUT)
+        self.keep_opacity, self.keep_size = QPushButton(LEAVE_OUT), QPushButton(LEAVE_OUT)
         self._connect()
         self._lay_out()
         self.show_session()
@@ -114,8 +114,8 @@ class CleaningDock(QDockWidget):
         assert self.session is not None
         self.session.add(step)
         older = self.pages.look()
-        said = f"{older}: Rewrite pages" if older else "Exports, films, pictures and surfaces follow; F5 measures seams anew"
-        self._host.show_status(f"{self._total_text()}. {said}.")
+        advice = f"{older}: Rewrite pages" if older else "Exports, films, pictures and surfaces follow; F5 measures seams anew"
+        self._host.show_status(f"{self._total_text()}. {advice}.")
 
     def _total_text(self) -> str:
         assert self.session is not None
@@ -161,15 +161,15 @@ class CleaningDock(QDockWidget):
         self._host.attempt(lambda: self._add(step()))
 
     def _lay_out(self) -> None:
-        left, rules = QVBoxLayout(), QGridLayout()
+        column, rules = QVBoxLayout(), QGridLayout()
         buttons = QHBoxLayout()
         for button in (self.undo, self.redo, self.reset, self.pages.button):
             buttons.addWidget(button)
         buttons.addWidget(self.count, stretch=1)
-        left.addWidget(self.steps, stretch=1)
+        column.addWidget(self.steps, stretch=1)
         if self.select is not None:
-            left.addWidget(self.select)
-        left.addLayout(buttons)
+            column.addWidget(self.select)
+        column.addLayout(buttons)
         inside, outside = QPushButton("Keep inside"), QPushButton("Leave it out")
         inside.clicked.connect(lambda: self._host.attempt(lambda: self.keep_inside("inside")))
         outside.clicked.connect(lambda: self._host.attempt(lambda: self.keep_inside("outside")))
@@ -194,7 +194,7 @@ class CleaningDock(QDockWidget):
         body = QWidget()
         across = QHBoxLayout(body)
         across.setContentsMargins(4, 2, 4, 2)
-        across.addLayout(left, stretch=1)
+        across.addLayout(column, stretch=1)
         across.addLayout(rules)
         across.addWidget(self.box)
         area = QScrollArea()

@@ -57,7 +57,7 @@ class ControlDock(QDockWidget):
         self.open, self.add, self.unmark = QPushButton("Open points…"), QPushButton("Add point…"), QPushButton("Take mark back")
         self.picture.message, self.picture.picks = "Choose a point, then a photograph.", True
         self.picture.setToolTip("Click: mark the point. Wheel: closer. Right button: move. The ring is where the point should be")
-        self._shown: Sight | None = None
+        self._sight: Sight | None = None
         self._lay_out()
         try:
             self.session = ControlSession(run, self._on_changed)
@@ -77,7 +77,7 @@ class ControlDock(QDockWidget):
     @property
     def photograph(self) -> str:
         """Name of the photograph on show, empty without one."""
-        return "" if self._shown is None else self._shown.photograph
+        return "" if self._sight is None else self._sight.photograph
 
     def choose(self, point: str, photograph: str | None = None) -> None:
         """Show a point, and one of its photographs; BadInput for unknown names."""
@@ -144,10 +144,10 @@ class ControlDock(QDockWidget):
         self.photographs.blockSignals(False)
         self._sights = sights
         if rows:
-            self._shown = sights[rows[0]]
+            self._sight = sights[rows[0]]
             self._show_marks()
         else:
-            self._shown = None
+            self._sight = None
             self.picture.show_picture(None, message="Choose a photograph.")
 
     def _show_photograph(self, row: int) -> None:
@@ -158,7 +158,7 @@ class ControlDock(QDockWidget):
         image = self._host.attempt(lambda: session.photograph(sight.photograph))
         if image is None:
             return
-        self._shown = sight
+        self._sight = sight
         self.picture.show_picture(image, names=(sight.photograph, ""))
         at = sight.mark or (None if sight.guess is None else (sight.guess[0] * image.shape[1], sight.guess[1] * image.shape[0]))
         if at is not None:
@@ -167,7 +167,7 @@ class ControlDock(QDockWidget):
         self._show_marks()
 
     def _show_marks(self) -> None:
-        sight = self._shown
+        sight = self._sight
         assert sight is not None
         marks = [] if sight.mark is None else [PictureMark(*sight.mark)]
         if sight.guess is not None and sight.mark is None:
@@ -179,19 +179,19 @@ class ControlDock(QDockWidget):
         """The points in both views, where their places are known."""
         assert self.session is not None and self.session.list is not None
         places = self.session.places()
-        known = np.flatnonzero(np.isfinite(places).all(axis=1))
-        if not len(known):
+        rows = np.flatnonzero(np.isfinite(places).all(axis=1))
+        if not len(rows):
             self._host.remove_mark(MARK)
             return
-        points = [self.session.list.points[row] for row in known]
+        points = [self.session.list.points[row] for row in rows]
         layer = Layer(
             name=MARK,
-            points=places[known],
+            points=places[rows],
             point_colors=np.array([BLUE if point.is_check else VERMILLION for point in points], np.uint8),
             point_size_px=9,
             point_rim=True,
             in_front=True,
-            labels=tuple(Label(text=point.name, position=place) for point, place in zip(points, places[known], strict=True)),
+            labels=tuple(Label(text=point.name, position=place) for point, place in zip(points, places[rows], strict=True)),
         )
         self._host.draw_mark(layer)
         self._host.render_views()

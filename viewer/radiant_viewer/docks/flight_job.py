@@ -21,7 +21,7 @@ from radiant_viewer.pictures.movie import MovieWriter
 from radiant_viewer.pictures.view_pose import ViewPose
 from radiant_viewer.splats.splat_process import Frame, Part, SplatProcess
 
-Drawn = Callable[[Image], None]
+FrameDrawn = Callable[[Image], None]
 Failed = Callable[[str], None]
 
 
@@ -39,21 +39,21 @@ class SceneFrames:
             add_layer(self._plotter, apply_theme(layer, theme), origin)
         self._process: SplatProcess | None = None
         self._part = Part()
-        self._drawn: Drawn = lambda image: None
+        self._on_frame: FrameDrawn = lambda image: None
 
     def add_model(self, parent: QObject, ply_path: Path, part: Part) -> None:
         """Show a part of the model of a file."""
         self._part = part
         self._process = SplatProcess(parent, ply_path)
 
-    def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
-        """Call `ready` once `ask` may be called, `drawn` per frame, `failed` with a sentence."""
-        self._drawn = drawn
+    def begin(self, ready: Callable[[], None], on_frame: FrameDrawn, failed: Failed) -> None:
+        """Call `ready` once `ask` may be called, `on_frame` per frame, `failed` with a sentence."""
+        self._on_frame = on_frame
         if self._process is None:
             QTimer.singleShot(0, ready)
             return
         self._process.ready.connect(ready)
-        self._process.drawn.connect(self._on_model)
+        self._process.frame_drawn.connect(self._on_model)
         self._process.failed.connect(failed)
 
     def ask(self, pose: ViewPose) -> None:
@@ -70,7 +70,7 @@ class SceneFrames:
 
     def end(self) -> None:
         """Free its resources."""
-        self._drawn = lambda image: None
+        self._on_frame = lambda image: None
         if self._process is not None:
             self._process.end()
         self._plotter.close()
@@ -86,7 +86,7 @@ class SceneFrames:
         self._plotter.render()
         pixels = self._plotter.screenshot(return_img=True)
         assert pixels is not None
-        self._drawn(np.asarray(pixels, np.uint8))
+        self._on_frame(np.asarray(pixels, np.uint8))
 
 
 class FlightJob(QObject):

@@ -113,11 +113,13 @@ class FlyDock(QDockWidget):
         size = size_wh or SIZES[self.frame_size.currentText()]
         poses = self.poses()
         writer = MovieWriter(path, size, self.rate.value())
-        shown = source or self.source.currentText()
-        layers = [] if shown == MODEL else [layer for layer in self._host.visible_layers() if layer.name != "Gaussians" or shown == LAYERS]
+        content = source or self.source.currentText()
+        layers = (
+            [] if content == MODEL else [layer for layer in self._host.visible_layers() if layer.name != "Gaussians" or content == LAYERS]
+        )
         frames = SceneFrames(layers, size, self._host.origin, self._host.theme)
-        if shown != LAYERS and self._ply_path is not None:
-            frames.add_model(self, self._ply_path, Part(box=self._host.crop_box, kept=self._host.kept_path))
+        if content != LAYERS and self._ply_path is not None:
+            frames.add_model(self, self._ply_path, Part(box=self._host.crop_box, keep_path=self._host.kept_path))
         self.job = FlightJob(self, poses, writer, frames)
         self.job.progressed.connect(self.bar.setValue)
         self.job.ended.connect(self._on_ended)

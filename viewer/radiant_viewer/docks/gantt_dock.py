@@ -25,7 +25,7 @@ class GanttDock(QDockWidget):
         self.setObjectName("timeline")
         self._host, self._feeds = host, feeds
         self.image: Image | None = None
-        self._drawn: tuple[int, ThemeName] | None = None
+        self._drawn_for: tuple[int, ThemeName] | None = None
         self.label = QLabel("")
         self.label.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
         area = QScrollArea()
@@ -51,9 +51,9 @@ class GanttDock(QDockWidget):
 
     def _draw(self) -> None:
         width_px, theme = max(MIN_WIDTH_PX, self.width() - 24), self._host.theme
-        if self._drawn == (width_px, theme.name):
+        if self._drawn_for == (width_px, theme.name):
             return
-        self._drawn = (width_px, theme.name)
+        self._drawn_for = (width_px, theme.name)
         try:
             rows = self._feeds.gantt_rows()
             if not rows:

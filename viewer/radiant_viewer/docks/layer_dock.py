@@ -68,8 +68,8 @@ class LayerDock(QDockWidget):
 
     def set_solo(self, name: str | None) -> None:
         """Show one layer alone, or with None all ticked layers."""
-        for other, item in self._items.items():
-            if other != name:
+        for layer_name, item in self._items.items():
+            if layer_name != name:
                 item.setCheckState(SOLO, Qt.CheckState.Unchecked)
         if name is not None:
             self._item(name).setCheckState(SOLO, Qt.CheckState.Checked)
@@ -106,9 +106,9 @@ class LayerDock(QDockWidget):
             return
         if column == SOLO and item.checkState(SOLO) == Qt.CheckState.Checked:
             self.tree.blockSignals(True)
-            for other in self._items.values():
-                if other is not item:
-                    other.setCheckState(SOLO, Qt.CheckState.Unchecked)
+            for tree_item in self._items.values():
+                if tree_item is not item:
+                    tree_item.setCheckState(SOLO, Qt.CheckState.Unchecked)
             self.tree.blockSignals(False)
         if column == NAME and item.checkState(NAME) == Qt.CheckState.Checked:
             item.setExpanded(item.childCount() <= MAX_OPEN_ROWS)

@@ -12,7 +12,7 @@ from radiant_viewer.runs.run_feeds import LossCurve
 
 SIZE_WH = (260, 110)
 LEFT_PX, BELOW_PX, TOP_PX = 54, 16, 6
-SHOWN = 6
+MAX_CURVES = 6
 """Curves of the stages that began last: more cannot be told apart, nor black on dark."""
 
 
@@ -28,12 +28,12 @@ class LossWidget(QWidget):
 
     def show_curves(self, curves: tuple[LossCurve, ...]) -> None:
         """Paint these, the last one strongest."""
-        shown = curves[-SHOWN:]
-        if shown == self._curves:
+        latest = curves[-MAX_CURVES:]
+        if latest == self._curves:
             return
-        self._curves = shown
-        self.setVisible(bool(shown))
-        self.setToolTip("Loss over the share done: " + ", ".join(f"{curve.stage} {curve.points[-1][1]:.4f}" for curve in shown))
+        self._curves = latest
+        self.setVisible(bool(latest))
+        self.setToolTip("Loss over the share done: " + ", ".join(f"{curve.stage} {curve.points[-1][1]:.4f}" for curve in latest))
         self.update()
 
     def sizeHint(self) -> QSize:
@@ -58,16 +58,16 @@ class LossWidget(QWidget):
         painter.drawLine(field.bottomLeft(), field.topLeft())
         painter.drawLine(field.bottomLeft(), field.bottomRight())
         painter.setPen(text)
-        beside = int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        alignment = int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         for value, y in ((high, field.top()), (low, field.bottom())):
-            painter.drawText(QRectF(0, y - 8, LEFT_PX - 4, 16), beside, f"{value:.3g}")
+            painter.drawText(QRectF(0, y - 8, LEFT_PX - 4, 16), alignment, f"{value:.3g}")
         last = self._curves[-1]
         below = QRectF(field.left(), field.bottom() + 1, field.width(), BELOW_PX)
         words = painter.fontMetrics().elidedText(f"loss of {last.stage}", Qt.TextElideMode.ElideMiddle, int(below.width()))
         painter.drawText(below, int(Qt.AlignmentFlag.AlignHCenter), words)
         per_log = field.height() / float(np.log(high / low))
         for number, curve in enumerate(self._curves):
-            red, green, blue = (int(level) for level in CURVE_COLORS[number % SHOWN])
+            red, green, blue = (int(level) for level in CURVE_COLORS[number % MAX_CURVES])
             painter.setPen(QPen(QColor(red, green, blue), 2.2 if curve is last else 1.0))
             places = [(share, float(np.log(high / max(loss, low)))) for share, loss in curve.points]
             painter.drawPolyline([QPointF(field.left() + share * field.width(), field.top() + per_log * depth) for share, depth in places])

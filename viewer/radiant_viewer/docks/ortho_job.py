@@ -29,7 +29,7 @@ class OrthoJob(QObject):
         self.button.setToolTip(f"Render the model from straight above into {ORTHO} of the run, the map's background")
         self._process = LineProcess(self, commands.ortho(self._next) if commands is not None else ())
         self.button.clicked.connect(self.begin)
-        self._process.said.connect(lambda words: host.show_status(f"Orthophoto: {words}"))
+        self._process.message.connect(lambda words: host.show_status(f"Orthophoto: {words}"))
         self._process.ended.connect(self._on_ended)
 
     @property

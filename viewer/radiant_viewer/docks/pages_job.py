@@ -24,7 +24,7 @@ class PagesJob(QObject):
         self._process = LineProcess(self, command)
         self.button = QPushButton("Rewrite pages")
         self.button.clicked.connect(self.begin)
-        self._process.said.connect(lambda words: host.show_status(f"Pages: {words}"))
+        self._process.message.connect(lambda words: host.show_status(f"Pages: {words}"))
         self._process.ended.connect(self._on_ended)
         self._has_command = bool(command)
         self.look()

@@ -161,11 +161,11 @@ class PhotoDock(QDockWidget):
         self.slider.setEnabled(len(pictures) > 1 and len(wanted) == 2)
 
     def _text(self, name: str) -> str:
-        known = self._figures.get(name, {})
+        values = self._figures.get(name, {})
         parts = [
-            f"{figure.heading.replace(' (dB)', '')} {known[figure.key]:.{figure.decimals}f}{' dB' * ('(dB)' in figure.heading)}"
+            f"{figure.heading.replace(' (dB)', '')} {values[figure.key]:.{figure.decimals}f}{' dB' * ('(dB)' in figure.heading)}"
             for figure in FIGURES
-            if figure.key in known
+            if figure.key in values
         ]
         if name in self.worst_first:
             parts.insert(0, f"{_rank_text(self.worst_first.index(name) + 1)} of {len(self.worst_first)}")

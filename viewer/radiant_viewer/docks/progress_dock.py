@@ -39,7 +39,7 @@ class ProgressDock(QDockWidget):
         super().__init__("Progress")
         self.setObjectName("progress")
         self._host, self._feeds = host, feeds
-        self.shown = RunProgress()
+        self.progress = RunProgress()
         self._filled: tuple[StageState, ...] = ()
         self.summary = QLabel("")
         self.reload = QPushButton("Reload")
@@ -82,13 +82,13 @@ class ProgressDock(QDockWidget):
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._poll)
         self._timer.start(POLL_MS)
-        self.read()
+        self.refresh()
 
     def end(self) -> None:
         """Stop polling."""
         self._timer.stop()
 
-    def read(self) -> None:
+    def refresh(self) -> None:
         """Read the progress and show it; a run that ended may be resumed, so polling goes on."""
         try:
             now = self._feeds.progress()
@@ -96,8 +96,8 @@ class ProgressDock(QDockWidget):
             # The run may be in the middle of writing.
             self.summary.setText(str(error))
             return
-        was_running, had_ended = self.shown.is_running, bool(self.shown.status) and not self.shown.is_running
-        self.shown = now
+        was_running, had_ended = self.progress.is_running, bool(self.progress.status) and not self.progress.is_running
+        self.progress = now
         self._show_control(now)
         self.loss.show_curves(now.losses)
         if now.stages != self._filled:
@@ -156,7 +156,7 @@ class ProgressDock(QDockWidget):
             self._begun = None
             if words:
                 self._host.show_status(f"The run ended: {words}")
-        self.read()
+        self.refresh()
         self.polled.emit()
 
     def _fill(self, stages: tuple[StageState, ...]) -> None:
@@ -182,10 +182,10 @@ class ProgressDock(QDockWidget):
 def _summary(progress: RunProgress) -> str:
     if not progress.stages:
         return f"This run is {progress.status or 'of an older version'}; it kept no stream of events."
-    done = {stage.stage for stage in progress.stages if stage.state in ("done", "skipped")}
-    finished = f"{len(done)} of {len(progress.stages)} stages that began are finished"
+    finished_stages = {stage.stage for stage in progress.stages if stage.state in ("done", "skipped")}
+    finished = f"{len(finished_stages)} of {len(progress.stages)} stages that began are finished"
     if progress.expected:
-        finished = f"{len(done & set(progress.expected))} of {len(progress.expected)} stages finished"
+        finished = f"{len(finished_stages & set(progress.expected))} of {len(progress.expected)} stages finished"
     parts = [f"Run {progress.status or 'unknown'}", finished]
     whole = progress.whole
     if progress.is_running and whole is not None:

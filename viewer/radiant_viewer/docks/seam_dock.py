@@ -87,9 +87,9 @@ class SeamDock(QDockWidget):
     def show_plan(self, plan: CloudPlan) -> list[Layer]:
         """Say whether a plan has other borders than those that the seams lie at; returns the layer
         of the seams with a legend that says so too."""
-        same = len(plan.borders) == len(self._measured_borders) and all(map(np.array_equal, plan.borders, self._measured_borders))
-        self.edited.setVisible(not same)
-        note = () if same else (LegendEntry(text=EDITED_SHORT, color=GREY, marker="line"),)
+        is_unchanged = len(plan.borders) == len(self._measured_borders) and all(map(np.array_equal, plan.borders, self._measured_borders))
+        self.edited.setVisible(not is_unchanged)
+        note = () if is_unchanged else (LegendEntry(text=EDITED_SHORT, color=GREY, marker="line"),)
         return [replace(layer, legend=(*layer.legend, *note)) for layer in self._host.layers if layer.name == "Seams"]
 
     def step(self, by: int) -> None:

@@ -69,17 +69,17 @@ class SelectRow(QWidget):
     def show_chosen(self) -> None:
         """Mark what is chosen in both views, and count it."""
         chosen = self.tool.chosen
-        kept = self._session.model.cleaned.kept
-        rows = np.flatnonzero(chosen & kept) if len(chosen) == len(kept) else np.zeros(0, np.int64)
+        keep_mask = self._session.model.cleaned.kept
+        rows = np.flatnonzero(chosen & keep_mask) if len(chosen) == len(keep_mask) else np.zeros(0, np.int64)
         for button in (self.clear, self.keep, self.leave_out):
             button.setEnabled(len(rows) > 0)
         self.count.setText(f"{len(rows):,} chosen" if self.tool.strokes else "")
         if not len(rows):
             self._host.remove_mark(CHOSEN)
         else:
-            shown = rows[:: 1 + len(rows) // MOST_SHOWN]
-            places = self._session.model.whole.means[shown].astype(np.float64)
-            colors = np.tile(np.array(COLOR, np.uint8), (len(shown), 1))
+            marked_rows = rows[:: 1 + len(rows) // MOST_SHOWN]
+            places = self._session.model.whole.means[marked_rows].astype(np.float64)
+            colors = np.tile(np.array(COLOR, np.uint8), (len(marked_rows), 1))
             self._host.draw_mark(Layer(name=CHOSEN, points=places, point_colors=colors, point_size_px=3, in_front=True))
         self._host.render_views()
 

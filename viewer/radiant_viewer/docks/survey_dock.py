@@ -35,7 +35,7 @@ from radiant_viewer.host.line_process import LineProcess
 from radiant_viewer.host.place_tool import PlaceTool
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.layers.layer import Label
-from radiant_viewer.layers.measure_layer import CLICKED, CLOSED, KEPT, clicked_layer, kept_layer
+from radiant_viewer.layers.measure_layer import CLICKED, CLOSED, SAVED, clicked_layer, kept_layer
 from radiant_viewer.runs.quick_measure import quick_text
 from radiant_viewer.runs.run_feeds import SurveyCommands
 from radiant_viewer.runs.run_view import RunView
@@ -98,18 +98,18 @@ class SurveyDock(QDockWidget):
         if self._run is None or self._map is None:
             return
         try:
-            kept = load_measures(self._run.folder)
+            measures = load_measures(self._run.folder)
         except RadiantError as error:
             self.text.setText(str(error))
-            kept = {}
-        self.table.setRowCount(len(kept))
-        for number, (name, row) in enumerate(kept.items()):
+            measures = {}
+        self.table.setRowCount(len(measures))
+        for number, (name, row) in enumerate(measures.items()):
             for column, cell in enumerate((name, figures_text(row))):
                 self.table.setItem(number, column, QTableWidgetItem(cell))
-        if kept:
-            self._host.draw_mark(kept_layer(kept, self._map))
+        if measures:
+            self._host.draw_mark(kept_layer(measures, self._map))
         else:
-            self._host.remove_mark(KEPT)
+            self._host.remove_mark(SAVED)
         self._host.render_views()
 
     def take(self) -> None:
@@ -209,8 +209,8 @@ class SurveyDock(QDockWidget):
         if len(self.tool.points):
             cameras = None if self._run is None else self._run.scene.cameras
             self._quick = quick_text(kind, self.tool.points, cameras, self._unit)
-            label = (Label(text=self._quick.partition(";")[0], position=self.tool.drawn[-1]),) if self._quick else ()
-            self._host.draw_mark(clicked_layer(self.tool.drawn, closed=kind in CLOSED, labels=label))
+            label = (Label(text=self._quick.partition(";")[0], position=self.tool.grounded_points[-1]),) if self._quick else ()
+            self._host.draw_mark(clicked_layer(self.tool.grounded_points, closed=kind in CLOSED, labels=label))
             words = self._quick or f"{len(self.tool.points)} places of {kind}"
             self.text.setText(words)
             keeps = ", Shift+M keeps it" if self._can_measure else ""
@@ -227,7 +227,7 @@ class SurveyDock(QDockWidget):
         self.remove.clicked.connect(lambda: self._host.attempt(self.remove_chosen))
         self.export.clicked.connect(self._ask_export)
         self.process.answered.connect(self._on_answer)
-        self.process.said.connect(self._on_said)
+        self.process.message.connect(self._on_said)
         self.process.ended.connect(self._on_ended)
 
     def _ask_export(self) -> None:

@@ -23,42 +23,42 @@ class EditFile:
     def __init__(self, path: Path, base: str) -> None:
         self.path, self._base = path, base
         self.aside: Path | None = None
-        self._seen = _digest(path)
+        self._last_digest = _digest(path)
 
     def load(self) -> tuple[EditHistory, str]:
         """Return the edits in the file, and a sentence if they are unusable; this window then owns
         the file."""
-        self.aside, self._seen = None, _digest(self.path)
-        kept, sentence = load_edits(self.path, self._base)
+        self.aside, self._last_digest = None, _digest(self.path)
+        history, sentence = load_edits(self.path, self._base)
         if not self.path.exists():
-            self._seen = None
-        return kept, sentence
+            self._last_digest = None
+        return history, sentence
 
-    def save(self, kept: EditHistory) -> None:
+    def save(self, history: EditHistory) -> None:
         """Write the edits, to `aside` during a conflict; without edits the file is removed.
         Raises BadInput where that fails."""
         self.has_foreign_edits()
         target = self.aside or self.path
-        if kept.done or kept.undone:
-            save_edits(target, self._base, kept)
+        if history.edits or history.undone:
+            save_edits(target, self._base, history)
         else:
             with suppress(FileNotFoundError):
                 target.unlink()
         if self.aside is None:
-            self._seen = _digest(self.path)
+            self._last_digest = _digest(self.path)
 
     def has_foreign_edits(self) -> bool:
         """Return whether another window wrote the file since this one read or wrote it."""
-        if self.aside is None and _digest(self.path) != self._seen:
+        if self.aside is None and _digest(self.path) != self._last_digest:
             self.aside = free_path_beside(self.path)
         return self.aside is not None
 
-    def take_over(self, kept: EditHistory) -> str:
+    def take_over(self, history: EditHistory) -> str:
         """Overwrite the file, and return a sentence about the renamed edits of the other window.
         Raises BadInput as `save`."""
         theirs = move_aside(self.path) if self.path.exists() else None
-        mine, self.aside, self._seen = self.aside, None, None
-        self.save(kept)
+        mine, self.aside, self._last_digest = self.aside, None, None
+        self.save(history)
         if mine is not None:
             # These edits are in the file itself now.
             with suppress(OSError):

@@ -32,7 +32,7 @@ MAX_LOG_BYTES = 512 * 2**20
 class EditHistory:
     """Edits in order, and the undone ones, of which the last is the next to redo."""
 
-    done: tuple[Edit, ...] = ()
+    edits: tuple[Edit, ...] = ()
     undone: tuple[Edit, ...] = ()
 
 
@@ -41,9 +41,9 @@ def plan_key(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> str:
     return content_key(cloud, tuple(edges))
 
 
-def save_edits(path: Path, base: str, kept: EditHistory) -> None:
+def save_edits(path: Path, base: str, history: EditHistory) -> None:
     """Write the edits atomically; BadInput where the folder cannot be written."""
-    record = {"done": [edit_record(edit) for edit in kept.done], "undone": [edit_record(edit) for edit in kept.undone]}
+    record = {"done": [edit_record(edit) for edit in history.edits], "undone": [edit_record(edit) for edit in history.undone]}
     write_json(path, {"schema": SCHEMA, "version": VERSION, "base": base, **record})
 
 
@@ -57,7 +57,7 @@ def load_edits(path: Path, base: str) -> tuple[EditHistory, str]:
             if (record["schema"], record["version"]) != (SCHEMA, VERSION):
                 raise BadInput(f"it is {record['schema']!r} {record['version']!r}, expected {SCHEMA!r} {VERSION}.")
             if record["base"] == base:
-                return EditHistory(done=_edits(record["done"]), undone=_edits(record["undone"])), ""
+                return EditHistory(edits=_edits(record["done"]), undone=_edits(record["undone"])), ""
             reason = "were made on another plan"
     except (BadInput, StoreDamaged):
         reason = "cannot be read"

@@ -75,8 +75,8 @@ def initial_plan(subject: PlanSubject, system: System, cloud: CloudPlan, edges: 
     require_plan_of(len(subject.names), cloud, edges)
     require_same_system(edges, system)
     if (cloud.looks is None) != (subject.looks is None):
-        other, own = ("look", "stand") if subject.looks is None else ("stand", "look")
-        raise BadInput(f"that plan is cut where cameras {other}, this one where they {own}: open it by itself.")
+        plan_cut, subject_cut = ("look", "stand") if subject.looks is None else ("stand", "look")
+        raise BadInput(f"that plan is cut where cameras {plan_cut}, this one where they {subject_cut}: open it by itself.")
     wishes = PlanWishes(
         system=_move_to_sites(system, cloud),
         constraints=PlanConstraints(),
@@ -92,17 +92,17 @@ def solve_regions(subject: PlanSubject, wishes: PlanWishes, start: CloudPlan) ->
     if wishes.slack is not None and wishes.constraints:
         raise BadInput("slack is for a plan in which nothing is fixed, locked or pinned: free these first, or take the slack back.")
     constraints = wishes.constraints or None
-    found = plan_regions(
+    plan = plan_regions(
         subject.on_map,
         wishes.system,
         slack=wishes.slack,
         constraints=constraints,
         start=wishes.reference if constraints else start,
     )
-    if isinstance(found, PlanInfeasible):
-        raise BadInput(found.reason)
-    found = replace(found, looks=subject.looks)
-    return EditedPlan(wishes=wishes if constraints else replace(wishes, reference=found), cloud=found)
+    if isinstance(plan, PlanInfeasible):
+        raise BadInput(plan.reason)
+    plan = replace(plan, looks=subject.looks)
+    return EditedPlan(wishes=wishes if constraints else replace(wishes, reference=plan), cloud=plan)
 
 
 def add_strips(subject: PlanSubject, plan: EditedPlan) -> EditedPlan:
@@ -110,10 +110,10 @@ def add_strips(subject: PlanSubject, plan: EditedPlan) -> EditedPlan:
     return plan if plan.edges else replace(plan, edges=split_edges(subject.on_map, plan.cloud, plan.wishes.system))
 
 
-def border_weight_m2(cloud: CloudPlan, edge: str, other: str, distance: float) -> float:
-    """Return the weight that moves the border of `edge` towards `other` outwards by `distance`,
+def border_weight_m2(cloud: CloudPlan, edge: str, neighbour: str, distance: float) -> float:
+    """Return the weight that moves the border of `edge` towards `neighbour` outwards by `distance`,
     inwards where negative."""
-    first, second = cloud.edge_ids.index(edge), cloud.edge_ids.index(other)
+    first, second = cloud.edge_ids.index(edge), cloud.edge_ids.index(neighbour)
     return float(cloud.weights[first] + 2 * np.linalg.norm(cloud.sites[first] - cloud.sites[second]) * distance)
 
 
@@ -138,8 +138,8 @@ def add_empty_edge(cloud: CloudPlan, subject: PlanSubject, name: str, site: Floa
 def remove_edge(cloud: CloudPlan, subject: PlanSubject, name: str, locked: tuple[str, ...]) -> CloudPlan:
     """Remove an edge; its cameras go to the nearest cells of edges that are not locked."""
     gone = cloud.edge_ids.index(name)
-    kept = np.flatnonzero(np.arange(len(cloud.edge_ids)) != gone)
-    open_edges = np.array([index for index in kept.tolist() if cloud.edge_ids[index] not in locked], np.int64)
+    rows = np.flatnonzero(np.arange(len(cloud.edge_ids)) != gone)
+    open_edges = np.array([index for index in rows.tolist() if cloud.edge_ids[index] not in locked], np.int64)
     orphans = np.flatnonzero(cloud.edge_of_camera == gone)
     if len(orphans) and not len(open_edges):
         raise BadInput(f"the regions of all other edges are locked and {len(orphans)} cameras of {name!r} must go somewhere: free one.")
@@ -151,11 +151,11 @@ def remove_edge(cloud: CloudPlan, subject: PlanSubject, name: str, locked: tuple
         owners[orphans] = open_edges[nearest]
     return replace(
         cloud,
-        edge_ids=tuple(cloud.edge_ids[index] for index in kept.tolist()),
-        sites=cloud.sites[kept],
-        weights=cloud.weights[kept],
-        borders=tuple(cloud.borders[index] for index in kept.tolist()),
-        edge_time_s=cloud.edge_time_s[kept],
+        edge_ids=tuple(cloud.edge_ids[index] for index in rows.tolist()),
+        sites=cloud.sites[rows],
+        weights=cloud.weights[rows],
+        borders=tuple(cloud.borders[index] for index in rows.tolist()),
+        edge_time_s=cloud.edge_time_s[rows],
         edge_of_camera=owners - (owners > gone),
     )
 

@@ -44,17 +44,18 @@ class EdgeGrip:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderGrip:
-    """The rim of region `edge`, grabbed at `place` (2,); `outward` (2,): unit normal to `other`."""
+    """The rim of region `edge`, grabbed at `place` (2,); `outward` (2,): unit normal to
+    `neighbour`."""
 
     edge: str
-    other: str
+    neighbour: str
     place: FloatArray
     outward: FloatArray
 
     def edit(self, place: FloatArray, cloud: CloudPlan) -> Edit:
         """Return the edit for a drag to `place` (2,), given the plan at the time of the press."""
         distance = float((place - self.place) @ self.outward)
-        return FixWeight(edge=self.edge, weight_m2=border_weight_m2(cloud, self.edge, self.other, distance))
+        return FixWeight(edge=self.edge, weight_m2=border_weight_m2(cloud, self.edge, self.neighbour, distance))
 
 
 def grip_at(
@@ -78,9 +79,9 @@ def grip_at(
     # A locked region's border is its neighbour's rim.
     if (first if is_in_first else second) in constraints.locked:
         is_in_first = not is_in_first
-    edge, other = (first, second) if is_in_first else (second, first)
+    edge, neighbour = (first, second) if is_in_first else (second, first)
     outward = -border.toward_first if is_in_first else border.toward_first
-    return BorderGrip(edge=edge, other=other, place=place, outward=outward)
+    return BorderGrip(edge=edge, neighbour=neighbour, place=place, outward=outward)
 
 
 class MapTools(QObject):

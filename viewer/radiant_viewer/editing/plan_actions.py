@@ -92,18 +92,18 @@ class PlanActions(QObject):
         """Add an edge with the devices of `like` in the middle of what the map shows."""
         if self.session is not None:
             x, y = self.host.map.pose.focal_point[:2].tolist()
-            taken = {edge.id for edge in self.session.editor.state.wishes.system.edges}
-            self.do(AddEdge(edge=_new_name("edge", taken), position=(x, y), like=like))
+            names = {edge.id for edge in self.session.editor.state.wishes.system.edges}
+            self.do(AddEdge(edge=_new_name("edge", names), position=(x, y), like=like))
 
     def add_device(self, edge: str, like: str | None) -> None:
         """Add a device to an edge, with the cost of `like` or of the edge's last device."""
         if self.session is None:
             return
         system = self.session.editor.state.wishes.system
-        own = [device.id for one in system.edges if one.id == edge for device in one.devices]
-        taken = {device.id for device in system.devices}
-        model = like or (own[-1] if own else "")
-        self.do(AddDevice(edge=edge, device=_new_name(edge, taken), like=model))
+        device_ids = [device.id for one in system.edges if one.id == edge for device in one.devices]
+        names = {device.id for device in system.devices}
+        model = like or (device_ids[-1] if device_ids else "")
+        self.do(AddDevice(edge=edge, device=_new_name(edge, names), like=model))
 
     def remove_device(self, device: str | None) -> None:
         """Remove a device; nothing for None."""
@@ -130,8 +130,8 @@ class PlanActions(QObject):
         places = self.run.scene.cameras.centers[:, :2]
         inside = ((places >= low) & (places <= high)).all(axis=1) & (self.run.roles.edge_of_camera >= 0)
         names = self.run.scene.cameras.names
-        found = [names[index] for index in np.flatnonzero(inside).tolist()]
-        self.select([*self.selected, *(name for name in found if name not in self.selected)] if add else found)
+        inside_names = [names[index] for index in np.flatnonzero(inside).tolist()]
+        self.select([*self.selected, *(name for name in inside_names if name not in self.selected)] if add else inside_names)
 
     def select_filtered(self, text: str) -> None:
         """Select the planned cameras that meet a filter; the status bar reports a bad filter."""
@@ -153,8 +153,8 @@ class PlanActions(QObject):
         if not rows:
             return None
         cloud = self.run.cloud_plan
-        own = np.bincount(self.run.roles.edge_of_camera[rows], minlength=len(cloud.edge_ids))
-        return cloud.edge_ids[int(np.lexsort((cloud.edge_time_s, own))[0])]
+        counts = np.bincount(self.run.roles.edge_of_camera[rows], minlength=len(cloud.edge_ids))
+        return cloud.edge_ids[int(np.lexsort((cloud.edge_time_s, counts))[0])]
 
     def save(self, path: Path) -> None:
         """Write the plan with its system and constraints; BadInput where it cannot be written or is
@@ -177,13 +177,13 @@ class PlanActions(QObject):
         """Mark the cameras that another plan gives to other edges, draw its borders and emit
         `compared`; BadInput for a plan of other cameras."""
         subject = plan_subject(self.run) if self.session is None else self.session.editor.subject
-        other = load_other_plan(path, subject)
+        compared = load_other_plan(path, subject)
         mine = (self.run.cloud_plan, self.run.edge_plans)
-        found = self.comparison = plan_difference(mine, (other.cloud, other.edges))
+        difference = self.comparison = plan_difference(mine, (compared.cloud, compared.edges))
         ground = ground_height(self.run.scene)
-        sides = outline_segments([at_height(border, ground) for border in other.cloud.borders])
+        sides = outline_segments([at_height(border, ground) for border in compared.cloud.borders])
         marked = replace(
-            selection_layer(subject.positions[found.new_edge]),
+            selection_layer(subject.positions[difference.new_edge]),
             name=COMPARED,
             segments=sides,
             segment_colors=np.tile(np.array(VERMILLION, np.uint8), (len(sides), 1)),
@@ -192,9 +192,9 @@ class PlanActions(QObject):
         )
         self.host.draw_mark(marked)
         self.host.render_views()
-        self.compared.emit(path.name, compare_figures(mine[0], other.cloud))
-        self.host.show_status(f"Against {path.name}: {found.text}")
-        return found
+        self.compared.emit(path.name, compare_figures(mine[0], compared.cloud))
+        self.host.show_status(f"Against {path.name}: {difference.text}")
+        return difference
 
     def save_regions(self, path: Path) -> None:
         """Write regions, strips and cameras as GeoJSON; BadInput if they are not on the globe."""
@@ -260,8 +260,8 @@ class PlanActions(QObject):
         return self.run.folder if self.run.folder.is_dir() else self.run.folder.parent
 
 
-def _new_name(stem: str, taken: set[str]) -> str:
-    number = len(taken) + 1 if stem == "edge" else 1
-    while (name := f"{stem}-{number}") in taken:
+def _new_name(stem: str, names: set[str]) -> str:
+    number = len(names) + 1 if stem == "edge" else 1
+    while (name := f"{stem}-{number}") in names:
         number += 1
     return name

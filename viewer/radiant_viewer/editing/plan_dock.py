@@ -130,9 +130,9 @@ class PlanDock(QDockWidget):
         self.certificate.setText(certificate_text(cloud))
         self.changes.setText(changes)
 
-    def show_comparison(self, other: str, text: str, rows: Sequence[ComparedRow]) -> None:
+    def show_comparison(self, file_name: str, text: str, rows: Sequence[ComparedRow]) -> None:
         """Show the difference from another plan, with up to `MAX_COMPARED` figures of both."""
-        self.changes.setText(_comparison_html(other, text, rows))
+        self.changes.setText(_comparison_html(file_name, text, rows))
 
     def show_selected(self, count: int, target: str | None = None) -> None:
         """Show how many cameras are selected; `target` is the suggested edge to pin them to."""
@@ -259,15 +259,15 @@ class PlanDock(QDockWidget):
         return button
 
 
-def _comparison_html(other: str, text: str, rows: Sequence[ComparedRow]) -> str:
-    head = f"<tr><th></th><th align='left'>this plan</th><th align='left'>{escape(other)}</th></tr>"
+def _comparison_html(file_name: str, text: str, rows: Sequence[ComparedRow]) -> str:
+    head = f"<tr><th></th><th align='left'>this plan</th><th align='left'>{escape(file_name)}</th></tr>"
     cells = [
-        f"<tr><td>{escape(row.name)}&nbsp;&nbsp;</td><td>{escape(row.mine)}&nbsp;&nbsp;</td><td>{escape(row.other)}</td></tr>"
+        f"<tr><td>{escape(row.name)}&nbsp;&nbsp;</td><td>{escape(row.value)}&nbsp;&nbsp;</td><td>{escape(row.compared)}</td></tr>"
         for row in rows[:MAX_COMPARED]
     ]
     left_out = len(rows) - len(cells)
     more = f"<p>… and {left_out} more edges</p>" if left_out else ""
-    return f"<p>Against {escape(other)}: {escape(text)}</p><table>{head}{''.join(cells)}</table>{more}"
+    return f"<p>Against {escape(file_name)}: {escape(text)}</p><table>{head}{''.join(cells)}</table>{more}"
 
 
 class _Results(QScrollArea):

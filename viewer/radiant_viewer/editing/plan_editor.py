@@ -38,7 +38,7 @@ class PlanEditor:
         self.subject = subject
         self.base = initial_plan(subject, system, *plan)
         self._file = None if edits_path is None else EditFile(edits_path, plan_key(*plan))
-        self._done: list[_Step] = []
+        self._steps: list[_Step] = []
         self._undone: list[_Step] = []
         self._pending: tuple[Edit, ...] = ()
         self.save_error = ""
@@ -54,17 +54,17 @@ class PlanEditor:
     @property
     def state(self) -> EditedPlan:
         """The present plan, with strips."""
-        return self._done[-1].after if self._done else self.base
+        return self._steps[-1].after if self._steps else self.base
 
     @property
     def edits(self) -> tuple[Edit, ...]:
         """The edits in effect, in order."""
-        return tuple(step.edit for step in self._done)
+        return tuple(step.edit for step in self._steps)
 
     @property
     def undo_text(self) -> str:
         """The edit that `undo` would undo, empty without one."""
-        return self._done[-1].edit.text if self._done else ""
+        return self._steps[-1].edit.text if self._steps else ""
 
     @property
     def redo_text(self) -> str:
@@ -79,7 +79,7 @@ class PlanEditor:
     @property
     def changes_since_last_edit(self) -> PlanDifference:
         """The difference from the plan before the last edit."""
-        before = self._done[-2].after if len(self._done) > 1 else self.base
+        before = self._steps[-2].after if len(self._steps) > 1 else self.base
         return plan_difference((before.cloud, before.edges), (self.state.cloud, self.state.edges))
 
     def apply(self, edit: Edit) -> EditedPlan:
@@ -99,7 +99,7 @@ class PlanEditor:
 
     def finish(self, edit: Edit, after: EditedPlan) -> EditedPlan:
         """Record the solved plan of an edit; undone edits can no longer be redone."""
-        self._done.append(_Step(edit=edit, after=after))
+        self._steps.append(_Step(edit=edit, after=after))
         self._undone.clear()
         self._pending = ()
         self._keep()
@@ -112,29 +112,29 @@ class PlanEditor:
 
     def undo(self) -> EditedPlan:
         """Undo the last edit; BadInput without one."""
-        if not self._done:
+        if not self._steps:
             raise BadInput("there is nothing to undo: the plan is as it was opened.")
-        self._undone.append(self._done.pop())
+        self._undone.append(self._steps.pop())
         return self._finish_step()
 
     def redo(self) -> EditedPlan:
         """Redo the edit that was undone last; BadInput without one."""
         if not self._undone:
             raise BadInput("there is nothing to redo.")
-        self._done.append(self._undone.pop())
+        self._steps.append(self._undone.pop())
         return self._finish_step()
 
     def restore(self) -> tuple[str, ...]:
         """Replay the stored edits, once, before the first edit; return sentences on failed ones."""
         if self._file is None:
             return ()
-        kept, sentence = self._file.load()
+        history, sentence = self._file.load()
         sentences = [sentence] if sentence else []
-        for edit in kept.done:
-            sentences += self._replay(edit, self._done)
+        for edit in history.edits:
+            sentences += self._replay(edit, self._steps)
         undone: list[_Step] = []
         # The last undone edit is the next to redo; if one fails, those after it are dropped too.
-        for edit in reversed(kept.undone):
+        for edit in reversed(history.undone):
             failed = self._replay(edit, undone)
             if failed:
                 sentences += failed
@@ -154,9 +154,9 @@ class PlanEditor:
         return []
 
     def _finish_step(self) -> EditedPlan:
-        if self._done:
-            last = self._done[-1]
-            self._done[-1] = _Step(edit=last.edit, after=add_strips(self.subject, last.after))
+        if self._steps:
+            last = self._steps[-1]
+            self._steps[-1] = _Step(edit=last.edit, after=add_strips(self.subject, last.after))
         self._keep()
         return self.state
 
@@ -174,7 +174,7 @@ class PlanEditor:
     def adopt_other(self) -> tuple[str, ...]:
         """Replay the other window's edits, as `restore`; this window's stay in a file beside it."""
         sentences = self._aside_sentences()
-        self._done, self._undone = [], []
+        self._steps, self._undone = [], []
         return (*sentences, *self.restore())
 
     def _aside_sentences(self) -> list[str]:
@@ -184,7 +184,7 @@ class PlanEditor:
     def _history(self) -> EditHistory:
         # An edit that is being solved makes the undone ones unreachable.
         undone = () if self._pending else tuple(step.edit for step in self._undone)
-        return EditHistory(done=(*self.edits, *self._pending), undone=undone)
+        return EditHistory(edits=(*self.edits, *self._pending), undone=undone)
 
     def _keep(self) -> None:
         if self._file is None:

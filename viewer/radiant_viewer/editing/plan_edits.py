@@ -102,8 +102,8 @@ class PinCameras:
 
     @property
     def text(self) -> str:
-        what = self.cameras[0] if len(self.cameras) == 1 else f"{len(self.cameras)} cameras"
-        return f"unpin {what}" if self.edge is None else f"pin {what} to {self.edge}"
+        cameras = self.cameras[0] if len(self.cameras) == 1 else f"{len(self.cameras)} cameras"
+        return f"unpin {cameras}" if self.edge is None else f"pin {cameras} to {self.edge}"
 
     def wishes(self, before: EditedPlan, subject: PlanSubject) -> PlanWishes:
         if not self.cameras:
@@ -232,10 +232,10 @@ class RemoveDevice:
         if len(owner[0].devices) == 1:
             raise BadInput(f"{self.device!r} is the only device of edge {owner[0].id!r}: remove the edge instead.")
 
-        def left(edge: Edge) -> Edge:
+        def without_device(edge: Edge) -> Edge:
             return replace(edge, devices=tuple(device for device in edge.devices if device.id != self.device))
 
-        return _replace_edges(before.wishes, left)
+        return _replace_edges(before.wishes, without_device)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,10 +294,10 @@ def apply_edit(subject: PlanSubject, before: EditedPlan, edit: Edit, *, strips: 
 
 
 def _require_edge(system: System, name: str) -> Edge:
-    found = [edge for edge in system.edges if edge.id == name]
-    if not found:
+    edges = [edge for edge in system.edges if edge.id == name]
+    if not edges:
         raise BadInput(f"there is no edge {name!r}: there are {_list_names(edge.id for edge in system.edges)}.")
-    return found[0]
+    return edges[0]
 
 
 def _replace_edges(wishes: PlanWishes, changed: Callable[[Edge], Edge]) -> PlanWishes:

@@ -150,11 +150,11 @@ def shift_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) 
     )
 
 
-def _geo_waypoints(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
+def _geo_waypoints(subject: PlanSubject, flown: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
     """Return the cameras as waypoints if they are on the globe, and the waypoints' origin (2,) in
     the subject's frame."""
-    if known is not None:
-        return known, np.zeros(2)
+    if flown is not None:
+        return flown, np.zeros(2)
     if subject.origin is None:
         return None, np.zeros(2)
     places = geodetic_from_enu(subject.positions, subject.origin)

@@ -29,7 +29,7 @@ def edited_layers(run: RunView, subject: PlanSubject, plan: EditedPlan, base: Ed
     ground = ground_height(run.scene)
     cloud = plan.cloud
     roles = edited_roles(run, plan)
-    owners = [np.array(each.cloud.edge_ids)[each.cloud.edge_of_camera] for each in (base, plan)]
+    owners = [np.array(edited.cloud.edge_ids)[edited.cloud.edge_of_camera] for edited in (base, plan)]
     is_drag = not plan.edges
     pyramids = not is_drag or len(run.scene.cameras) <= PYRAMIDS_IN_DRAGS
     layers = [

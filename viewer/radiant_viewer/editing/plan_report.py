@@ -73,19 +73,19 @@ class ComparedRow:
     """One figure of two plans, as texts."""
 
     name: str
-    mine: str
-    other: str
+    value: str
+    compared: str
 
 
-def compare_figures(mine: CloudPlan, other: CloudPlan) -> tuple[ComparedRow, ...]:
+def compare_figures(base: CloudPlan, compared: CloudPlan) -> tuple[ComparedRow, ...]:
     """Return makespan, ratio to the bound, cameras and time per edge, greatest change first."""
     rows = [
-        ComparedRow(name="makespan", mine=duration_text(mine.makespan_s), other=duration_text(other.makespan_s)),
-        ComparedRow(name="over the bound", mine=_over_bound(mine), other=_over_bound(other)),
+        ComparedRow(name="makespan", value=duration_text(base.makespan_s), compared=duration_text(compared.makespan_s)),
+        ComparedRow(name="over the bound", value=_over_bound(base), compared=_over_bound(compared)),
     ]
-    dealt = [dict(zip(plan.edge_ids, plan.counts.tolist(), strict=True)) for plan in (mine, other)]
-    ids = sorted({*mine.edge_ids, *other.edge_ids}, key=lambda edge: (-abs(dealt[0].get(edge, 0) - dealt[1].get(edge, 0)), edge))
-    return (*rows, *(ComparedRow(name=edge, mine=_load_of(mine, edge), other=_load_of(other, edge)) for edge in ids))
+    dealt = [dict(zip(plan.edge_ids, plan.counts.tolist(), strict=True)) for plan in (base, compared)]
+    ids = sorted({*base.edge_ids, *compared.edge_ids}, key=lambda edge: (-abs(dealt[0].get(edge, 0) - dealt[1].get(edge, 0)), edge))
+    return (*rows, *(ComparedRow(name=edge, value=_load_of(base, edge), compared=_load_of(compared, edge)) for edge in ids))
 
 
 def _over_bound(cloud: CloudPlan) -> str:

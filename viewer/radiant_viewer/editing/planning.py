@@ -99,9 +99,9 @@ class Planning:
     def _show_selected(self) -> None:
         self.dock.show_selected(len(self.actions.selected), self.actions.likely_target)
 
-    def _show_comparison(self, other: str, rows: tuple[ComparedRow, ...]) -> None:
+    def _show_comparison(self, file_name: str, rows: tuple[ComparedRow, ...]) -> None:
         assert self.actions.comparison is not None
-        self.dock.show_comparison(other, self.actions.comparison.text, rows)
+        self.dock.show_comparison(file_name, self.actions.comparison.text, rows)
 
     def _show_state(self, restored: Sequence[str] = ()) -> None:
         assert self.session is not None

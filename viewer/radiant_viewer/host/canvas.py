@@ -55,7 +55,7 @@ class Canvas:
     def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray, unit: str = "m") -> None:
         self.is_map, self.origin, self.theme = is_map, origin, LIGHT
         self.actors: dict[str, list[vtkProp]] = {}
-        self._drawn: dict[str, tuple[Theme, int, Layer]] = {}
+        self._drawn_layers: dict[str, tuple[Theme, int, Layer]] = {}
         self.click_takers: list[ClickTaker] = []
         self.fill_opacity = 1.0
         self.frame = QWidget(parent)
@@ -88,7 +88,7 @@ class Canvas:
         )
         self.backdrop = Backdrop(self.plotter)
         self.before_screenshot: Callable[[], None] = lambda: None
-        self.said: Callable[[str], None] = lambda words: None
+        self.show_message: Callable[[str], None] = lambda words: None
         self.ground_under: Callable[[FloatArray], float | None] = lambda place: None
         self._seen_before: deque[ViewPose] = deque(maxlen=MOST_BEFORE)
         self._aimed_s = -np.inf
@@ -112,25 +112,25 @@ class Canvas:
         """Draw a layer in place of the one of its name; on a map higher slots cover lower ones."""
         height = float(SLOTS_PER_LAYER * slot)
         flat_height = height if self.is_map else None
-        shown, before = apply_theme(layer, self.theme), self._drawn.get(layer.name)
+        themed, before = apply_theme(layer, self.theme), self._drawn_layers.get(layer.name)
         if (
             before is not None
             and before[:2] == (self.theme, slot)
-            and has_same_structure(before[2], shown)
-            and _same_labels(before[2], shown)
+            and has_same_structure(before[2], themed)
+            and _same_labels(before[2], themed)
         ):
             actors = self.actors[layer.name][: -1 if layer.labels and self.is_map else None]
-            update_layer(cast("list[pv.Actor]", actors), shown, self.origin, flat_height)
-            self._drawn[layer.name] = (self.theme, slot, shown)
+            update_layer(cast("list[pv.Actor]", actors), themed, self.origin, flat_height)
+            self._drawn_layers[layer.name] = (self.theme, slot, themed)
             self.show(layer.name, visible)
             return
         self.remove(layer.name)
         # Points and lines are in pixels of the screen, however dense; VTK scales letters alone.
         scale = self.plotter.devicePixelRatioF()
-        actors = add_layer(self.plotter, shown, self.origin, line_scale=scale, flat_height=flat_height, detail=self.detail)
+        actors = add_layer(self.plotter, themed, self.origin, line_scale=scale, flat_height=flat_height, detail=self.detail)
         if layer.polygons and self.is_map:
             actors[0].prop.opacity = self.shown_fill_opacity
-        self.actors[layer.name], self._drawn[layer.name] = [*actors], (self.theme, slot, shown)
+        self.actors[layer.name], self._drawn_layers[layer.name] = [*actors], (self.theme, slot, themed)
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
             for actor in actors[-1:]:
                 # A view has a quarter of a picture's size: points as large would bury the rest.
@@ -147,18 +147,18 @@ class Canvas:
     @property
     def shown_fill_opacity(self) -> float:
         """Of the map's polygons: over an orthophoto they always show what is below."""
-        pictures = [name for name, (_, _, layer) in self._drawn.items() if layer.picture is not None]
+        pictures = [name for name, (_, _, layer) in self._drawn_layers.items() if layer.picture is not None]
         over_picture = any(actor.GetVisibility() for name in pictures for actor in self.actors[name])
         return min(self.fill_opacity, PICTURE_FILL) if over_picture else self.fill_opacity
 
     def _fill(self) -> None:
-        for name, (_, _, layer) in self._drawn.items():
+        for name, (_, _, layer) in self._drawn_layers.items():
             if layer.polygons and self.is_map:
                 cast("list[pv.Actor]", self.actors[name])[0].prop.opacity = self.shown_fill_opacity
 
     def remove(self, name: str) -> None:
         """Remove a layer, if it is drawn."""
-        self._drawn.pop(name, None)
+        self._drawn_layers.pop(name, None)
         for actor in self.actors.pop(name, []):
             self.plotter.remove_actor(actor, render=False)
 
@@ -166,7 +166,7 @@ class Canvas:
         """Show or hide the actors of a layer."""
         for actor in self.actors.get(name, []):
             actor.SetVisibility(visible)
-        if name in self._drawn and self._drawn[name][2].picture is not None:
+        if name in self._drawn_layers and self._drawn_layers[name][2].picture is not None:
             self._fill()
 
     def render(self) -> None:
@@ -206,12 +206,12 @@ class Canvas:
 
     def say(self, words: str) -> None:
         """Tell the user."""
-        self.said(words)
+        self.show_message(words)
 
     def go_back(self) -> None:
         """See what was seen before the last move."""
         if not self._seen_before:
-            self.said("There is no view before this one")
+            self.show_message("There is no view before this one")
             return
         pose, self._aimed_s = self._seen_before.pop(), time.monotonic()
         self.set_pose(pose)
@@ -285,12 +285,12 @@ class Canvas:
         x, y = (float(value) for value in np.asarray(place) - self.origin[:2])
         self._aim(np.array([x, y, MAP_EYE]), np.array([x, y, 0.0]), np.array([0.0, 1, 0]), half_height=half_height)
 
-    def fit(self, drawn: FloatArray) -> None:
+    def fit(self, positions: FloatArray) -> None:
         """Fit positions (K,3) of the world into the view; a map looks straight down, north up."""
         if not self.is_map:
-            self.set_pose(fitting_pose(drawn, self.size_wh, FIT_ANGLE_DEG))
+            self.set_pose(fitting_pose(positions, self.size_wh, FIT_ANGLE_DEG))
             return
-        low, high = drawn.min(axis=0), drawn.max(axis=0)
+        low, high = positions.min(axis=0), positions.max(axis=0)
         self.plotter.enable_parallel_projection()
         # A map is moved by dragging it.
         self.plotter.enable_custom_trackball_style(left="pan", shift_left="pan", control_left="pan", middle="pan", right="dolly")
@@ -374,6 +374,6 @@ class _ClickFilter(QObject):
         return False
 
 
-def _same_labels(layer: Layer, other: Layer) -> bool:
-    texts = [[(label.text.splitlines()[0], label.position.tolist()) for label in one.labels] for one in (layer, other)]
+def _same_labels(first: Layer, second: Layer) -> bool:
+    texts = [[(label.text.splitlines()[0], label.position.tolist()) for label in one.labels] for one in (first, second)]
     return texts[0] == texts[1]

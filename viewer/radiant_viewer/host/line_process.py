@@ -24,7 +24,7 @@ class LineProcess(QObject):
     words."""
 
     answered = Signal(object)
-    said = Signal(str)
+    message = Signal(str)
     ended = Signal(bool, str)
 
     def __init__(self, parent: QObject, command: Sequence[str]) -> None:
@@ -77,7 +77,7 @@ class LineProcess(QObject):
     def _on_words(self) -> None:
         assert self._process is not None
         self._words = (self._words + bytes(self._process.readAllStandardError().data()).decode(errors="replace"))[-MAX_WORDS:]
-        self.said.emit(self._last_line)
+        self.message.emit(self._last_line)
 
     @property
     def _last_line(self) -> str:

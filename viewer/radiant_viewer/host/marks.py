@@ -20,7 +20,7 @@ class Marks:
         self._before_solo: frozenset[str] = frozenset()
 
     @property
-    def shown(self) -> list[str]:
+    def visible_names(self) -> list[str]:
         """The names of the marks that are shown."""
         return [name for name in self._layers if name not in self._before_solo]
 

@@ -101,7 +101,7 @@ class Navigator(QObject):
         self._canvas = canvas
         self._button = ""
         self._from, self._pivot = (0, 0), np.zeros(3)
-        self._held: dict[int, tuple[int, int, int]] = {}
+        self._pressed_keys: dict[int, tuple[int, int, int]] = {}
         self._flight, self._flown_s = QTimer(self), 0.0
         self._speed, self._clearance = 1.0, 0.0
         self._flight.setInterval(FLIGHT_MS)
@@ -132,13 +132,13 @@ class Navigator(QObject):
         if not isinstance(event, QKeyEvent) or event.key() not in FLIGHT_KEYS:
             return False
         if event.type() == QEvent.Type.KeyRelease and not event.isAutoRepeat():
-            self._held.pop(event.key(), None)
+            self._pressed_keys.pop(event.key(), None)
         elif self._button == "Right" and event.type() in (QEvent.Type.ShortcutOverride, QEvent.Type.KeyPress):
-            if not self._held:
+            if not self._pressed_keys:
                 self._flown_s = time.monotonic()
                 self._clearance = CLEARANCE * max(self._over_ground(self._canvas.pose), 0.0)
                 self._flight.start()
-            self._held[event.key()] = FLIGHT_KEYS[Qt.Key(event.key())]
+            self._pressed_keys[event.key()] = FLIGHT_KEYS[Qt.Key(event.key())]
             event.accept()
             return True
         return False
@@ -160,7 +160,7 @@ class Navigator(QObject):
 
     def _release(self) -> None:
         self._button = ""
-        self._held.clear()
+        self._pressed_keys.clear()
         self._flight.stop()
 
     def _drag(self) -> None:
@@ -194,14 +194,14 @@ class Navigator(QObject):
 
     def _fly_on(self) -> None:
         now = time.monotonic()
-        if not self._held:
+        if not self._pressed_keys:
             self._flight.stop()
             return
         pose = self._canvas.pose
         ahead = self._canvas.depth_ahead(NEAR_SHARE) or pose.distance
         reach = FLIGHT_SHARE * self._speed * ahead * min(now - self._flown_s, LONGEST_STEP_S)
         self._flown_s = now
-        right, forward, up = (reach * float(step) for step in np.sum([*self._held.values()], axis=0))
+        right, forward, up = (reach * float(step) for step in np.sum([*self._pressed_keys.values()], axis=0))
         self._go(self._kept_over_ground(pose, view_motion.fly(pose, right, forward, up)))
 
     def _over_ground(self, pose: ViewPose) -> float:
@@ -213,7 +213,7 @@ class Navigator(QObject):
         """A step of a flight, lifted where it would go below the ground; not from below it, and not
         where Q is held."""
         low = self._clearance - self._over_ground(after)
-        if low <= 0 or self._over_ground(before) < 0 or Qt.Key.Key_Q in self._held or not np.isfinite(low):
+        if low <= 0 or self._over_ground(before) < 0 or Qt.Key.Key_Q in self._pressed_keys or not np.isfinite(low):
             return after
         return view_motion.shift(after, np.array([0.0, 0.0, low]))
 

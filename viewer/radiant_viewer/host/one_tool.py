@@ -11,5 +11,5 @@ from PySide6.QtWidgets import QAbstractButton
 def keep_one_on(switches: Sequence[QAction | QAbstractButton]) -> None:
     """Let each of the checkable switches turn the others off when it is turned on."""
     for switch in switches:
-        others = [other for other in switches if other is not switch]
-        switch.toggled.connect(lambda is_on, others=others: [other.setChecked(False) for other in others] if is_on else None)
+        others = [button for button in switches if button is not switch]
+        switch.toggled.connect(lambda is_on, others=others: [button.setChecked(False) for button in others] if is_on else None)

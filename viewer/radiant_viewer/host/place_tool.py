@@ -54,7 +54,7 @@ class PlaceTool:
         self._changed()
 
     @property
-    def drawn(self) -> FloatArray:
+    def grounded_points(self) -> FloatArray:
         """The points (P,3) with the height of the ground where theirs is not known."""
         return np.where(np.isnan(self.points), self._ground, self.points)
 

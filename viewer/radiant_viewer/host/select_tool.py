@@ -89,9 +89,9 @@ class SelectTool(QObject):
             takes_away=takes_away,
             front=None if self.is_through else self._front(bounds_of(path, radius), K),
         )
-        found = stroke.chosen(self._means())
-        self.chosen = self.chosen if len(self.chosen) == len(found) else np.zeros(len(found), bool)
-        self.chosen = self.chosen & ~found if takes_away else self.chosen | found
+        inside = stroke.chosen(self._means())
+        self.chosen = self.chosen if len(self.chosen) == len(inside) else np.zeros(len(inside), bool)
+        self.chosen = self.chosen & ~inside if takes_away else self.chosen | inside
         self.strokes, self._undone = (*self.strokes, stroke), ()
         self.changed.emit()
 

@@ -34,7 +34,7 @@ class ViewWidget(QtInteractor):
     """Whether a frame would be drawn in vain, since a picture of the model is on its way."""
     on_resize: Callable[[], None] = staticmethod(lambda: None)
     _painted_pose: tuple[object, ...] | None = None
-    _rest: QTimer | None = None
+    _rest_timer: QTimer | None = None
 
     def keep_camera(self) -> None:
         """Remember the camera: a picture of the model is requested for it."""
@@ -51,8 +51,8 @@ class ViewWidget(QtInteractor):
 
     def come_to_rest(self) -> None:
         """Draw the next frame as one at rest, with all samples."""
-        if self._rest is not None:
-            self._rest.stop()
+        if self._rest_timer is not None:
+            self._rest_timer.stop()
         self.render_window.SetMultiSamples(SAMPLES_AT_REST)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
@@ -96,13 +96,13 @@ class ViewWidget(QtInteractor):
     def _choose_samples(self) -> None:
         camera = self.camera
         pose = (*camera.position, *camera.focal_point, *camera.up, camera.parallel_scale, camera.view_angle)
-        if self._rest is None:
-            self._rest = QTimer(self, singleShot=True, interval=SHARP_MS)
-            self._rest.timeout.connect(self.update)
+        if self._rest_timer is None:
+            self._rest_timer = QTimer(self, singleShot=True, interval=SHARP_MS)
+            self._rest_timer.timeout.connect(self.update)
         elif pose != self._painted_pose:
-            self._rest.start()
+            self._rest_timer.start()
         self._painted_pose = pose
-        self.render_window.SetMultiSamples(0 if self._rest.isActive() else SAMPLES_AT_REST)
+        self.render_window.SetMultiSamples(0 if self._rest_timer.isActive() else SAMPLES_AT_REST)
 
 
 def _copy_to(copy: pv.Camera, camera: pv.Camera) -> pv.Camera:

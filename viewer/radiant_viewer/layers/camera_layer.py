@@ -98,14 +98,14 @@ def _layer(
 
 def _psnr_layer(cameras: Cameras, psnr_db: Mapping[str, float]) -> Layer:
     values = np.array([psnr_db.get(name, np.nan) for name in cameras.names], dtype=np.float64)
-    known = np.isfinite(values)
-    if not known.any():
+    has_psnr = np.isfinite(values)
+    if not has_psnr.any():
         raise BadInput("no camera has a PSNR: evaluate the run first, or colour cameras by region, device or split.")
-    low = float(np.floor(values[known].min()))
-    high = max(float(np.ceil(values[known].max())), low + 1)
+    low = float(np.floor(values[has_psnr].min()))
+    high = max(float(np.ceil(values[has_psnr].max())), low + 1)
     colors = np.tile(np.array(WHITE, np.uint8), (len(cameras), 1))
-    colors[known] = heat_colors(values[known], low, high)
-    unknown = int((~known).sum())
+    colors[has_psnr] = heat_colors(values[has_psnr], low, high)
+    unknown = int((~has_psnr).sum())
     legend = (LegendEntry(text=f"Camera without PSNR ({unknown})", color=WHITE, marker="ring"),) if unknown else ()
     heat = HeatScale(label="PSNR of held-out photographs (dB)", low=low, high=high)
     return _layer(cameras, "Cameras by PSNR", colors, legend, heat)

@@ -20,12 +20,12 @@ SELECTED_PX = 5.0
 
 def changed_layer(positions: FloatArray, changed: NDArray[np.bool_]) -> Layer:
     """Return larger dots for cameras (C,3) that moved to another edge; draw it below cameras."""
-    shown = positions[changed]
-    legend = (LegendEntry(text=f"Changed hands since the opening ({len(shown)})", color=YELLOW, marker="ring"),) if len(shown) else ()
+    points = positions[changed]
+    legend = (LegendEntry(text=f"Changed hands since the opening ({len(points)})", color=YELLOW, marker="ring"),) if len(points) else ()
     return Layer(
         name="Changed hands",
-        points=shown,
-        point_colors=np.tile(np.array(YELLOW, np.uint8), (len(shown), 1)),
+        points=points,
+        point_colors=np.tile(np.array(YELLOW, np.uint8), (len(points), 1)),
         point_size_px=_ring_px(len(positions)),
         point_rim=True,
         behind=True,

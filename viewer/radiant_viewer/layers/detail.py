@@ -53,8 +53,8 @@ def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
     free[cells] = False
     below = np.flatnonzero(free)
     # Spread along the curve: a prefix would fill one corner.
-    rest = below[np.linspace(0, len(below) - 1, min(limit - len(cells), len(below))).astype(np.int64)]
-    return np.sort(order[np.concatenate([cells, rest])]) * step
+    fillers = below[np.linspace(0, len(below) - 1, min(limit - len(cells), len(below))).astype(np.int64)]
+    return np.sort(order[np.concatenate([cells, fillers])]) * step
 
 
 def _pick_per_cell(starts: NDArray[np.int64], stop: int) -> NDArray[np.int64]:
@@ -113,8 +113,8 @@ def visible_subset(points: NDArray[np.float32], clip_from_world: FloatArray, siz
         cells = xy[inside].astype(np.int64)
         keys = _sortable_bits(scaled[inside, 2]) << np.uint64(32) | (before[inside] + start).astype(np.uint64)
         np.minimum.at(nearest, cells[:, 1] * columns + cells[:, 0], keys)
-    taken = nearest[nearest != np.iinfo(np.uint64).max]
-    return np.sort((taken & np.uint64(0xFFFFFFFF)).astype(np.int64))
+    nearest_keys = nearest[nearest != np.iinfo(np.uint64).max]
+    return np.sort((nearest_keys & np.uint64(0xFFFFFFFF)).astype(np.int64))
 
 
 def _sortable_bits(depths: NDArray[np.float32]) -> NDArray[np.uint64]:

@@ -65,7 +65,7 @@ def update_layer(actors: Sequence[pv.Actor], layer: Layer, origin: FloatArray, f
         actor.mapper.SetInputData(mesh)
 
 
-def has_same_structure(layer: Layer, other: Layer) -> bool:
+def has_same_structure(first: Layer, second: Layer) -> bool:
     """Return whether layers differ only in positions, colours, labels, and none is thinned; a
     picture is on the graphics card and has to be the same one."""
     styles = [
@@ -73,9 +73,9 @@ def has_same_structure(layer: Layer, other: Layer) -> bool:
             [bool(len(part)) for part in (one.polygons, one.segments, one.points)],
             (one.point_size_px, one.point_rim, one.square_points, one.ring_points, one.in_front, one.behind, one.line_width_px),
         )
-        for one in (layer, other)
+        for one in (first, second)
     ]
-    return styles[0] == styles[1] and layer.picture is other.picture and not is_thinned(layer) and not is_thinned(other)
+    return styles[0] == styles[1] and first.picture is second.picture and not is_thinned(first) and not is_thinned(second)
 
 
 def _parts(layer: Layer, origin: FloatArray, flat_height: float | None) -> list[tuple[_Kind, pv.PolyData]]:

@@ -29,21 +29,21 @@ def footprint_layer(footprints: Footprints, roles: CameraRoles, cloud_plan: Clou
         raise BadInput(f"there are {len(footprints)} footprints of {len(roles.edge_of_camera)} cameras: give one each.")
     seeing = np.flatnonzero(footprints.areas_m2 > 0)
     every = max(1, -(-len(seeing) // MAX_OUTLINES))
-    shown = seeing[::every]
-    corners = footprints.polygons[shown]
+    rows = seeing[::every]
+    corners = footprints.polygons[rows]
     sides = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 2)
-    colors = np.concatenate([category_colors(len(roles.edge_ids)), np.array([WHITE], np.uint8)])[roles.edge_of_camera[shown]]
+    colors = np.concatenate([category_colors(len(roles.edge_ids)), np.array([WHITE], np.uint8)])[roles.edge_of_camera[rows]]
     box = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
-    kept = np.zeros(len(sides), bool)
+    is_visible = np.zeros(len(sides), bool)
     if len(box):
-        sides, kept = _clip_segments(sides, box.min(axis=0), box.max(axis=0))
+        sides, is_visible = _clip_segments(sides, box.min(axis=0), box.max(axis=0))
     text = f"Footprint of an image ({len(seeing)})" if every == 1 else f"Footprint, one of {every} of {len(seeing)}"
     blind = len(footprints) - len(seeing)
     more = (LegendEntry(text=f"Without sight of the ground: {blind}", color=WHITE, marker="line"),) if blind else ()
     return Layer(
         name="Footprints",
-        segments=np.concatenate([sides, np.full((*sides.shape[:2], 1), height)], axis=2)[kept],
-        segment_colors=np.repeat(colors, corners.shape[1], axis=0)[kept],
+        segments=np.concatenate([sides, np.full((*sides.shape[:2], 1), height)], axis=2)[is_visible],
+        segment_colors=np.repeat(colors, corners.shape[1], axis=0)[is_visible],
         line_width_px=1.2,
         legend=(LegendEntry(text=text, color=BLUE, marker="line"), *more),
     )
@@ -98,6 +98,6 @@ def _clip_segments(segments: FloatArray, low: FloatArray, high: FloatArray) -> t
     inside = (start >= low) & (start <= high)
     first = np.where(level, np.where(inside, -np.inf, np.inf), ends.min(axis=0)).max(axis=1).clip(0, None)
     last = np.where(level, np.where(inside, np.inf, -np.inf), ends.max(axis=0)).min(axis=1).clip(None, 1)
-    kept = first < last
-    shares = np.where(kept[:, None], np.stack([first, last], axis=1), 0.0)
-    return start[:, None] + shares[..., None] * along[:, None], kept
+    is_visible = first < last
+    shares = np.where(is_visible[:, None], np.stack([first, last], axis=1), 0.0)
+    return start[:, None] + shares[..., None] * along[:, None], is_visible

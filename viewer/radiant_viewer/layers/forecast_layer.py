@@ -51,13 +51,13 @@ def buffer_layer(positions: FloatArray, cloud_plan: CloudPlan, buffers: Sequence
     the capturing region; thinned above 20,000. Draw it below the waypoints."""
     edges = np.concatenate([np.full(len(b.camera_indices), cloud_plan.edge_ids.index(b.edge_id)) for b in buffers]).astype(np.int64)
     cameras = np.concatenate([np.zeros(0, np.int64), *(buffer.camera_indices for buffer in buffers)])
-    shown = slice(None, None, max(1, -(-len(cameras) // MAX_DOTS)))
+    thinned = slice(None, None, max(1, -(-len(cameras) // MAX_DOTS)))
     colors = category_colors(len(cloud_plan.edge_ids))
     text = f"Buffer: {len(cameras)}, ring of who takes it"
     return Layer(
         name="Buffer captures",
-        points=positions[cameras[shown]],
-        point_colors=colors[edges[shown]],
+        points=positions[cameras[thinned]],
+        point_colors=colors[edges[thinned]],
         point_size_px=float(np.clip(420 / np.sqrt(max(1, len(positions))), 5.0, 14.0)),
         point_rim=True,
         legend=(LegendEntry(text=text, color=rgb(colors[edges[0]]), marker="ring"),) if len(cameras) else (),

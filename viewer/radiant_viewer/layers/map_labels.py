@@ -69,7 +69,7 @@ def _keep_in_place(
     plotter: pv.Plotter, actor: vtkProp, marks: pv.PolyData, places: FloatArray, sizes_px: Callable[[int], FloatArray]
 ) -> None:
     """Move the labels at every frame that shows another part of the map, until they are removed."""
-    shown: list[tuple[float, ...]] = []
+    last_state: list[tuple[float, ...]] = []
 
     def lift(*_: object) -> None:
         if not plotter.renderer.HasViewProp(actor):
@@ -80,8 +80,8 @@ def _keep_in_place(
         per_px = 2 * plotter.camera.parallel_scale / max(int(size_wh[1]), 1)
         middle = np.array(plotter.camera.focal_point[:2])
         state = (per_px, dpi, *middle.tolist(), *size_wh.tolist())
-        if shown != [state]:
-            shown[:] = [state]
+        if last_state != [state]:
+            last_state[:] = [state]
             marks_px = (places[:, :2] - middle) / per_px + size_wh / 2
             corners_px = label_corners(marks_px, sizes_px(dpi), size_wh, LIFT_PX * dpi / USUAL_DPI)
             moved = np.column_stack([(corners_px - size_wh / 2) * per_px + middle, places[:, 2]])

@@ -13,17 +13,19 @@ from radiant_core.survey.map_grid import MapFrame
 from radiant_viewer.layers.layer import Label, Layer, outline_segments
 from radiant_viewer.layers.palette import ORANGE, VERMILLION
 
-KEPT, CLICKED = "Measures", "Measure at work"
+SAVED, CLICKED = "Measures", "Measure at work"
 CLOSED = ("area", "volume")
 
 
-def kept_layer(kept: Mapping[str, Any], map_frame: MapFrame) -> Layer:
+def kept_layer(measures: Mapping[str, Any], map_frame: MapFrame) -> Layer:
     """All measures of a run where they were taken, each with its name and first figure."""
-    worlds = [map_frame.to_world(places_of(row)) for row in kept.values()]
-    segments = [_segments(places, row["kind"] in CLOSED) for places, row in zip(worlds, kept.values(), strict=True)]
-    labels = [Label(text=f"{name}: {_first(row)}", position=places[-1]) for (name, row), places in zip(kept.items(), worlds, strict=True)]
+    worlds = [map_frame.to_world(places_of(row)) for row in measures.values()]
+    segments = [_segments(places, row["kind"] in CLOSED) for places, row in zip(worlds, measures.values(), strict=True)]
+    labels = [
+        Label(text=f"{name}: {_first(row)}", position=places[-1]) for (name, row), places in zip(measures.items(), worlds, strict=True)
+    ]
     return _layer(
-        KEPT, np.concatenate([np.zeros((0, 3)), *worlds]), np.concatenate([np.zeros((0, 2, 3)), *segments]), tuple(labels), VERMILLION
+        SAVED, np.concatenate([np.zeros((0, 3)), *worlds]), np.concatenate([np.zeros((0, 2, 3)), *segments]), tuple(labels), VERMILLION
     )
 
 

@@ -49,6 +49,6 @@ def _corners(picture: MapPicture, frame: Frame, height: float) -> np.ndarray:
 
 
 def _is_outdated(path: Path, run: Path) -> bool:
-    made = path.stat().st_mtime_ns
+    made_ns = path.stat().st_mtime_ns
     model = run / "scene.ply"
-    return any(file.is_file() and file.stat().st_mtime_ns > made for file in (model, cleaning_path(run)))
+    return any(file.is_file() and file.stat().st_mtime_ns > made_ns for file in (model, cleaning_path(run)))

@@ -57,9 +57,9 @@ _LOCAL: WeakKeyDictionary[Layer, tuple[bytes, LocalCloud]] = WeakKeyDictionary()
 def local_cloud(layer: Layer, origin: FloatArray) -> LocalCloud:
     """Return a layer's points relative to `origin` (3,), float32; cached for two views. O(N)."""
     key = np.asarray(origin, np.float64).tobytes()
-    known = _LOCAL.get(layer)
-    if known is not None and known[0] == key:
-        return known[1]
+    cached = _LOCAL.get(layer)
+    if cached is not None and cached[0] == key:
+        return cached[1]
     local = np.empty((len(layer.points), 3), np.float32)
     for start in range(0, len(local), _BLOCK):
         np.subtract(layer.points[start : start + _BLOCK], origin, out=local[start : start + _BLOCK], casting="same_kind")
@@ -76,7 +76,7 @@ class _Cloud:
     height: float | None
     colors: ColorArray
     actor: pv.Actor
-    shown: object = None
+    content: object = None
     """What the actor draws now: a limit of points, or a view."""
 
 
@@ -86,7 +86,7 @@ class PointDetail:
     def __init__(self, plotter: pv.Plotter, later: Later | None = None, redraw: Callable[[], object] | None = None) -> None:
         self._plotter, self._later, self._redraw = plotter, later, redraw or plotter.render
         self._clouds: list[_Cloud] = []
-        self._seen: View | None = None
+        self._last_view: View | None = None
         self._num_moves = 0
         self.is_moving = False
         """Whether the last frame was drawn with few points."""
@@ -95,17 +95,17 @@ class PointDetail:
     def add(self, local: LocalCloud, height: float | None, colors: ColorArray, actor: pv.Actor) -> None:
         """Manage an actor that draws a cloud with colours (N,3), on a map at one height."""
         cloud = _Cloud(local=local, height=height, colors=colors, actor=actor)
-        self._draw(cloud, np.zeros(0, np.int64), shown=None)
+        self._draw(cloud, np.zeros(0, np.int64), content=None)
         self._clouds.append(cloud)
 
     def coarsen(self) -> None:
         """Draw the next frames with few points although the view is at rest, as during a drag."""
-        self._seen = None
+        self._last_view = None
 
     def refine(self) -> None:
         """Choose all points of every visible cloud that the camera sees, without drawing."""
         self._num_moves += 1
-        self._seen = self._view()
+        self._last_view = self._view()
         self.is_moving = False
         for cloud in self._visible():
             self._show_all(cloud)
@@ -117,8 +117,8 @@ class PointDetail:
         view = self._view()
         if self._later is None:
             self.refine()
-        elif view != self._seen:
-            self._seen, self.is_moving = view, True
+        elif view != self._last_view:
+            self._last_view, self.is_moving = view, True
             self._num_moves += 1
             self._wait(self._later, self._num_moves)
         if self.is_moving:
@@ -130,16 +130,16 @@ class PointDetail:
                 self._show_all(cloud)
 
     def _wait(self, later: Later, num_moves: int) -> None:
-        def rest() -> None:
+        def refine_at_rest() -> None:
             if num_moves != self._num_moves or self._plotter.render_window is None:
                 return
             if self._plotter.render_window.GetDesiredUpdateRate() > MOVING_HZ:
-                later(REST_S, rest)
+                later(REST_S, refine_at_rest)
                 return
             self.refine()
             self._redraw()
 
-        later(REST_S, rest)
+        later(REST_S, refine_at_rest)
 
     def _visible(self) -> list[_Cloud]:
         present = self._plotter.renderer.GetViewProps()
@@ -151,15 +151,15 @@ class PointDetail:
         return (*camera.position, *camera.focal_point, *camera.up, camera.parallel_scale, camera.view_angle, *size_wh)
 
     def _show_few(self, cloud: _Cloud, limit: int) -> None:
-        if cloud.shown != limit:
-            self._draw(cloud, cloud.local.even(limit), shown=limit)
+        if cloud.content != limit:
+            self._draw(cloud, cloud.local.even(limit), content=limit)
 
     def _show_all(self, cloud: _Cloud) -> None:
         count = len(cloud.local.points)
-        view = self._seen if count > WHOLE_POINTS else "whole"
-        if cloud.shown != view:
-            kept = self._in_view(cloud) if count > WHOLE_POINTS else np.arange(count)
-            self._draw(cloud, kept, shown=view)
+        view = self._last_view if count > WHOLE_POINTS else "whole"
+        if cloud.content != view:
+            rows = self._in_view(cloud) if count > WHOLE_POINTS else np.arange(count)
+            self._draw(cloud, rows, content=view)
 
     def _in_view(self, cloud: _Cloud) -> NDArray[np.int64]:
         width, height = self._plotter.window_size
@@ -168,13 +168,13 @@ class PointDetail:
         # Cells of half a point's width, so that drawn points cover dropped ones.
         return visible_subset(cloud.local.points, clip_from_world, (width, height), max(1.0, cloud.actor.prop.point_size / 2))
 
-    def _draw(self, cloud: _Cloud, kept: NDArray[np.int64], shown: object) -> None:
-        drawn = np.append(kept, cloud.local.ends)
-        positions = cloud.local.points[drawn]
+    def _draw(self, cloud: _Cloud, rows: NDArray[np.int64], content: object) -> None:
+        drawn_rows = np.append(rows, cloud.local.ends)
+        positions = cloud.local.points[drawn_rows]
         if cloud.height is not None:
             positions[:, 2] = cloud.height
-        cloud.actor.mapper.SetInputData(point_mesh(positions, cloud.colors[drawn]))
-        cloud.shown = shown
+        cloud.actor.mapper.SetInputData(point_mesh(positions, cloud.colors[drawn_rows]))
+        cloud.content = content
 
 
 def point_mesh(positions: NDArray[np.float32], colors: ColorArray) -> pv.PolyData:

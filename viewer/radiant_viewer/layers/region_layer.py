@@ -27,19 +27,19 @@ def duration_text(seconds: float) -> str:
 
 def region_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
     """Return each edge's region in a tint of its colour, with its border."""
-    shown = [index for index, border in enumerate(cloud_plan.borders) if len(border) >= 3]
-    polygons = tuple(at_height(cloud_plan.borders[index], height) for index in shown)
+    edges = [index for index, border in enumerate(cloud_plan.borders) if len(border) >= 3]
+    polygons = tuple(at_height(cloud_plan.borders[index], height) for index in edges)
     colors = category_colors(len(cloud_plan.edge_ids))
     sides = outline_segments(polygons)
     return Layer(
         name="Regions",
         pale_fills=True,
         polygons=polygons,
-        polygon_colors=tint(colors, WHITE, FILL_TINT)[shown],
+        polygon_colors=tint(colors, WHITE, FILL_TINT)[edges],
         segments=sides,
         segment_colors=np.tile(np.array(INK, np.uint8), (len(sides), 1)),
         line_width_px=2.2,
-        legend=tuple(LegendEntry(text=_edge_text(cloud_plan, index), color=rgb(colors[index]), marker="area") for index in shown),
+        legend=tuple(LegendEntry(text=_edge_text(cloud_plan, index), color=rgb(colors[index]), marker="area") for index in edges),
     )
 
 

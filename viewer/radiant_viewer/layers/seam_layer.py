@@ -91,20 +91,20 @@ def color_steps(
     def band_colors(offset_widths: float) -> FloatArray:
         # The lower region's border runs counter-clockwise: "left" is one side in all its pieces.
         chosen = tree.query_ball_point(middles + offset_widths * width * normals, 0.5 * width)
-        own = np.array([weighted[rows].sum(axis=0) for rows in chosen]).reshape(-1, 5)
-        sums, numbers = (pooled * counts) @ own[:, :4], (pooled & (counts > 0)) @ own[:, 4:]
+        weighted_sums = np.array([weighted[rows].sum(axis=0) for rows in chosen]).reshape(-1, 5)
+        sums, numbers = (pooled * counts) @ weighted_sums[:, :4], (pooled & (counts > 0)) @ weighted_sums[:, 4:]
         return np.where(numbers >= MIN_GAUSSIANS, sums[:, :3] / np.maximum(sums[:, 3:], 1e-12), np.nan)
 
     def squares_at(offset_widths: float) -> FloatArray:
         return ((band_colors(offset_widths + 0.5) - band_colors(offset_widths - 0.5)) ** 2).mean(axis=1)
 
     parallels = np.stack([squares_at(offset) for offset in PARALLELS])
-    known = np.isfinite(parallels).any(axis=0) & (counts > 0)
-    usual = np.nanmedian(np.where(known, parallels, 0.0), axis=0)
-    largest = np.nanmax(np.where(known, parallels, 0.0), axis=0)
+    has_value = np.isfinite(parallels).any(axis=0) & (counts > 0)
+    usual = np.nanmedian(np.where(has_value, parallels, 0.0), axis=0)
+    largest = np.nanmax(np.where(has_value, parallels, 0.0), axis=0)
 
     def levels(squares: FloatArray) -> FloatArray:
-        return np.where(known, np.sqrt(np.maximum(0.0, squares)), np.nan)
+        return np.where(has_value, np.sqrt(np.maximum(0.0, squares)), np.nan)
 
     return ColorSteps(levels=levels(squares_at(0.0) - usual), texture_levels=levels(usual), limit_levels=levels(largest - usual))
 
@@ -115,14 +115,14 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
     steps do not get the brightest colour. Raises BadInput for another number of values."""
     # A value that is not finite becomes one grey piece, counted in the legend.
     raw = np.asarray(values, np.float64)
-    known = np.isfinite(raw)
-    levels = check_array("values of the seam", np.where(known, raw, 0.0), (len(pieces.ends),))
+    has_value = np.isfinite(raw)
+    levels = check_array("values of the seam", np.where(has_value, raw, 0.0), (len(pieces.ends),))
     low = min(0.0, float(levels.min(initial=0.0)))
     high = _round_up(max(float(levels.max(initial=0.0)), least_high))
-    colors = np.where(known[:, None], heat_colors(levels, low, high), np.array(GREY, np.uint8))
+    colors = np.where(has_value[:, None], heat_colors(levels, low, high), np.array(GREY, np.uint8))
     ends = np.concatenate([pieces.ends, np.full((len(pieces.ends), 2, 1), height)], axis=2)
-    unknown = int((~known).sum())
-    missing = (LegendEntry(text=f"No figure ({unknown} of {len(known)} pieces)", color=GREY, marker="line"),)
+    unknown = int((~has_value).sum())
+    missing = (LegendEntry(text=f"No figure ({unknown} of {len(has_value)} pieces)", color=GREY, marker="line"),)
     return Layer(
         name="Seams",
         segments=ends,

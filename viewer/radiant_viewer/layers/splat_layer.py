@@ -24,9 +24,9 @@ def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
     """Return the P points of the scene in their colours. Points without observations are the
     Gaussians of a delivered model, and the layer is named so."""
     kind = "sparse points" if len(scene.observations) else "Gaussians"
-    kept = None if len(scene.points) <= max_points else even_subset(scene.points, max_points)
+    rows = None if len(scene.points) <= max_points else even_subset(scene.points, max_points)
     # Indexing with all of them would copy them.
-    points, colors = (scene.points, scene.colors) if kept is None else (scene.points[kept], scene.colors[kept])
+    points, colors = (scene.points, scene.colors) if rows is None else (scene.points[rows], scene.colors[rows])
     return Layer(
         name="Sparse points" if len(scene.observations) else "Gaussians",
         points=points,
@@ -43,8 +43,8 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
     # Indexing with all of them would copy them.
     means, sh0 = (splats.means, splats.sh0) if is_opaque.all() else (splats.means[is_opaque], splats.sh0[is_opaque])
     if len(means) > max_points:
-        kept = even_subset(means, max_points)
-        means, sh0 = means[kept], sh0[kept]
+        rows = even_subset(means, max_points)
+        means, sh0 = means[rows], sh0[rows]
     points = means.astype(np.float64)
     points.flags.writeable = False
     return Layer(
@@ -76,8 +76,8 @@ def inside_box(means: NDArray[np.float32], box: list[list[float]]) -> NDArray[np
     return ((means >= low) & (means <= high)).all(axis=1)
 
 
-def _count_text(what: str, shown: int, total: int) -> str:
-    return f"{total:,} {what}" if shown == total else f"{shown:,} of {total:,} {what}"
+def _count_text(noun: str, count: int, total: int) -> str:
+    return f"{total:,} {noun}" if count == total else f"{count:,} of {total:,} {noun}"
 
 
 def point_size_px(count: int) -> float:

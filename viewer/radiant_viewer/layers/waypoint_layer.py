@@ -20,12 +20,12 @@ def waypoint_layer(positions: FloatArray, cloud_plan: CloudPlan) -> Layer:
     if len(positions) != len(cloud_plan.edge_of_camera):
         raise BadInput(f"the plan is of {len(cloud_plan.edge_of_camera)} cameras, there are {len(positions)} waypoints: plan again.")
     every = -(-len(positions) // MAX_DOTS)
-    shown = slice(None, None, every)
-    colors = category_colors(len(cloud_plan.edge_ids))[cloud_plan.edge_of_camera[shown]]
+    thinned = slice(None, None, every)
+    colors = category_colors(len(cloud_plan.edge_ids))[cloud_plan.edge_of_camera[thinned]]
     meaning = "Waypoint, in its region's colour" if every == 1 else f"One of {every} waypoints"
     return Layer(
         name="Waypoints",
-        points=positions[shown],
+        points=positions[thinned],
         point_colors=colors,
         # Dots shrink with their number, as those of cameras.
         point_size_px=float(np.clip(200 / np.sqrt(len(colors)), 2.0, 7.0)),

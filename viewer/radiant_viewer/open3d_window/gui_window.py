@@ -13,8 +13,8 @@ import numpy as np
 from radiant_core.cameras import Cameras
 from radiant_core.numerics import FloatArray
 from radiant_viewer.layers.layer import Layer
+from radiant_viewer.open3d_window.content import Content
 from radiant_viewer.open3d_window.parts import MODEL, Part
-from radiant_viewer.open3d_window.shown import Shown
 
 PANEL_EM = 17
 TICKS_AT_END = 5
@@ -22,13 +22,13 @@ HELP = "Left drag: turn.  Ctrl and left drag: move.\nWheel: nearer.  F: all.  T:
 FRONT_DEG = 45.0
 
 
-def show_window(shown: Shown, size_wh: tuple[int, int], photograph: str | None) -> int:
+def show_window(content: Content, size_wh: tuple[int, int], photograph: str | None) -> int:
     """Show the window until it is closed or the process is asked to end; returns the exit code."""
     from open3d.visualization import gui
 
     app: Any = gui.Application.instance
     app.initialize()
-    window = _Window(app, shown, size_wh, photograph)
+    window = _Window(app, content, size_wh, photograph)
     stopped: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda caught, _: stopped.append(caught))
@@ -46,37 +46,37 @@ def show_window(shown: Shown, size_wh: tuple[int, int], photograph: str | None) 
 class _Window:
     """The widgets of one window."""
 
-    def __init__(self, app: Any, shown: Shown, size_wh: tuple[int, int], photograph: str | None) -> None:
+    def __init__(self, app: Any, content: Content, size_wh: tuple[int, int], photograph: str | None) -> None:
         from open3d.visualization import gui, rendering
 
-        self._shown, self._gui = shown, gui
-        self.window: Any = app.create_window(f"Radiant: {shown.subject.path.resolve().name}", *size_wh)
+        self._content, self._gui = content, gui
+        self.window: Any = app.create_window(f"Radiant: {content.subject.path.resolve().name}", *size_wh)
         self._scene: Any = gui.SceneWidget()
         self._scene.scene = rendering.Open3DScene(self.window.renderer)
         self._scene.scene.set_background(np.ones(4))
         self._panel: Any = gui.ScrollableVert(4, gui.Margins(8, 8, 8, 8))
         self._labels: dict[str, list[Any]] = {}
-        if (model := shown.model()) is not None:
-            assert shown.splats is not None
-            self._add(MODEL, [model], f"{len(shown.splats):,} Gaussians", ())
-        for layer in reversed(shown.layers):
-            self._add(layer.name, shown.parts(layer), layer.name, tuple((entry.text, entry.color) for entry in layer.legend))
-            self._show(layer.name, shown.parts(layer), layer, layer.name not in shown.hidden)
+        if (model := content.model()) is not None:
+            assert content.splats is not None
+            self._add(MODEL, [model], f"{len(content.splats):,} Gaussians", ())
+        for layer in reversed(content.layers):
+            self._add(layer.name, content.parts(layer), layer.name, tuple((entry.text, entry.color) for entry in layer.legend))
+            self._show(layer.name, content.parts(layer), layer, layer.name not in content.hidden)
         self._panel.add_child(gui.Label(HELP))
-        self._panel.add_child(gui.Label(shown.subject.summary.replace(", ", "\n")))
+        self._panel.add_child(gui.Label(content.subject.summary.replace(", ", "\n")))
         self.window.add_child(self._scene)
         self.window.add_child(self._panel)
         self.window.set_on_layout(self._lay_out)
         self.window.set_on_key(self._on_key)
-        self._look(shown.view(size_wh, photograph))
+        self._look(content.view(size_wh, photograph))
 
     def _add(self, name: str, parts: list[Part], title: str, legend: tuple[tuple[str, tuple[int, int, int]], ...]) -> None:
         gui = self._gui
         for part in parts:
             self._scene.scene.add_geometry(part.name, part.geometry, part.material)
         box: Any = gui.Checkbox(title)
-        box.checked = name not in self._shown.hidden
-        layer = next((one for one in self._shown.layers if one.name == name), None)
+        box.checked = name not in self._content.hidden
+        layer = next((one for one in self._content.layers if one.name == name), None)
         box.set_on_checked(partial(self._show, name, parts, layer))
         self._panel.add_child(box)
         for text, color in legend:
@@ -91,7 +91,7 @@ class _Window:
             self._scene.remove_3d_label(label)
         if visible and layer is not None and layer.labels:
             self._labels[name] = [
-                self._scene.add_3d_label(label.position - self._shown.origin + (0, 0, self._shown.lift), label.text)
+                self._scene.add_3d_label(label.position - self._content.origin + (0, 0, self._content.lift), label.text)
                 for label in layer.labels
             ]
         self._scene.force_redraw()
@@ -105,7 +105,7 @@ class _Window:
     def _look(self, camera: Cameras) -> None:
         """See the scene as a camera does, its focal point on the ground of the scene."""
         pose = camera.cam_from_world[0]
-        center = camera.centers[0] - self._shown.origin
+        center = camera.centers[0] - self._content.origin
         distance = max(float(np.linalg.norm(center)), 1e-3)
         height = float(camera.sizes_wh[0, 1])
         angle_deg = float(2 * np.degrees(np.arctan(height / 2 / camera.Ks[0, 1, 1])))
@@ -121,7 +121,7 @@ class _Window:
 
     def _on_key(self, event: Any) -> bool:
         gui = self._gui
-        camera = self._shown.view((int(self._scene.frame.width), int(self._scene.frame.height)))
+        camera = self._content.view((int(self._scene.frame.width), int(self._scene.frame.height)))
         actions: dict[Any, Callable[[], None]] = {
             gui.KeyName.F: lambda: self._look(camera),
             gui.KeyName.T: lambda: self._from_above(camera),
@@ -132,5 +132,5 @@ class _Window:
         return True
 
     def _from_above(self, camera: Cameras) -> None:
-        distance = float(np.linalg.norm(camera.centers[0] - self._shown.origin))
+        distance = float(np.linalg.norm(camera.centers[0] - self._content.origin))
         self._aim(FRONT_DEG, np.array([0.0, 0, distance]), np.zeros(3), np.array([0.0, 1, 0]))

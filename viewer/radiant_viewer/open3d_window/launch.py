@@ -41,11 +41,11 @@ def _run(source: Path, picture: Path | None, size_wh: tuple[int, int], camera: s
             code = _wait(process)
         if code in (0, 128 + signal.SIGINT):
             return code
-        said = (words.read_text(errors="replace").strip() or "it said nothing").splitlines()[-1]
+        message = (words.read_text(errors="replace").strip() or "it said nothing").splitlines()[-1]
     if code == BadInput.exit_code:
-        raise BadInput(said)
+        raise BadInput(message)
     ended = f"signal {-code}" if code < 0 else f"exit code {code}"
-    raise StageFailed(f"Open3D ended by {ended} ({said}): {INSTEAD}.")
+    raise StageFailed(f"Open3D ended by {ended} ({message}): {INSTEAD}.")
 
 
 def worker_command(job: Path) -> list[str]:

@@ -10,19 +10,19 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.numerics import FloatArray
+from radiant_viewer.open3d_window.content import Content
 from radiant_viewer.open3d_window.parts import Part
-from radiant_viewer.open3d_window.shown import Shown
 from radiant_viewer.pictures.images import Image
 
 DRAWS = 3
 """Open3D's splats are now and then wrong in single tiles: a picture is the median of so many."""
 
 
-def draw_picture(shown: Shown, size_wh: tuple[int, int], photograph: str | None) -> Image:
+def draw_picture(content: Content, size_wh: tuple[int, int], photograph: str | None) -> Image:
     """The layers that are not hidden, (H,W,3), without a window."""
-    parts = [part for layer in shown.layers if layer.name not in shown.hidden for part in shown.parts(layer)]
-    model = shown.model()
-    return draw_parts([*([] if model is None else [model]), *parts], shown.view(size_wh, photograph), shown.origin)
+    parts = [part for layer in content.layers if layer.name not in content.hidden for part in content.parts(layer)]
+    model = content.model()
+    return draw_parts([*([] if model is None else [model]), *parts], content.view(size_wh, photograph), content.origin)
 
 
 def draw_parts(parts: Sequence[Part], camera: Cameras, origin: FloatArray) -> Image:

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from radiant_core.errors import RadiantError
 from radiant_core.io.run_store import read_json
+from radiant_viewer.open3d_window.content import load_content
 from radiant_viewer.open3d_window.gui_window import show_window
 from radiant_viewer.open3d_window.picture import draw_picture
-from radiant_viewer.open3d_window.shown import load_shown
 from radiant_viewer.pictures.images import save_png
 
 
@@ -22,12 +22,12 @@ def main() -> int:
     """Do the job of the file and return the exit code."""
     try:
         job = read_json(Path(sys.argv[1]), ("source", "picture", "size_wh", "camera"))
-        shown = load_shown(Path(job["source"]))
+        content = load_content(Path(job["source"]))
         width, height = (int(side) for side in job["size_wh"])
         if job["picture"] is not None:
-            save_png(Path(job["picture"]), draw_picture(shown, (width, height), job["camera"]))
+            save_png(Path(job["picture"]), draw_picture(content, (width, height), job["camera"]))
             return 0
-        return show_window(shown, (width, height), job["camera"])
+        return show_window(content, (width, height), job["camera"])
     except RadiantError as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code

@@ -114,9 +114,9 @@ class MovieWriter:
     def _write_gif(self) -> None:
         from PIL import Image as Pictures
 
-        first, *rest = (Pictures.fromarray(frame).quantize(colors=256, dither=Pictures.Dither.NONE) for frame in self._gif)
+        first, *others = (Pictures.fromarray(frame).quantize(colors=256, dither=Pictures.Dither.NONE) for frame in self._gif)
         # GIF counts hundredths of a second.
-        first.save(self._part, format="GIF", save_all=True, append_images=rest, duration=round(1000 / self.frames_per_s), loop=0)
+        first.save(self._part, format="GIF", save_all=True, append_images=others, duration=round(1000 / self.frames_per_s), loop=0)
         self._gif.clear()
 
 
@@ -124,11 +124,11 @@ class MovieWriter:
 def _quiet_stderr() -> Iterator[None]:
     """Silence OpenCV's encoder, which prints from C that VP80 is no tag of WebM, yet writes it."""
     sys.stderr.flush()
-    kept = os.dup(2)
+    stderr_copy = os.dup(2)
     try:
         with Path(os.devnull).open("wb") as nothing:
             os.dup2(nothing.fileno(), 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(stderr_copy, 2)
+        os.close(stderr_copy)

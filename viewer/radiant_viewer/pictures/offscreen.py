@@ -45,8 +45,8 @@ def render_view(layers: Sequence[Layer], size_wh: tuple[int, int] = (1280, 900),
 def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
     """Draw layers from straight above; later layers cover earlier ones, whatever their heights."""
     _require_size(size_wh)
-    drawn = framing_positions(layers)[:, :2]
-    extent = _fit_extent(drawn.min(axis=0), drawn.max(axis=0), size_wh)
+    positions = framing_positions(layers)[:, :2]
+    extent = _fit_extent(positions.min(axis=0), positions.max(axis=0), size_wh)
     origin = np.array([(extent[0] + extent[1]) / 2, (extent[2] + extent[3]) / 2, 0.0])
     top = float(SLOTS_PER_LAYER * (len(layers) + 1))
     with offscreen_plotter(size_wh) as plotter:
@@ -66,13 +66,13 @@ def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
 def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: tuple[float, float] = (205, 42)) -> Drawing:
     """Draw layers in perspective, all inside the picture, from (azimuth from north, elevation)."""
     _require_size(size_wh)
-    drawn = framing_positions(layers)
-    origin = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
+    positions = framing_positions(layers)
+    origin = (positions.min(axis=0) + positions.max(axis=0)) / 2
     with offscreen_plotter(size_wh) as plotter:
         detail = PointDetail(plotter)
         for layer in layers:
             add_layer(plotter, layer, origin, line_scale=OVERSAMPLING, detail=detail)
-        aim_camera(plotter, drawn - origin, direction_deg)
+        aim_camera(plotter, positions - origin, direction_deg)
         image = averaged_screenshot(plotter)
         label_px, mark_px = (_project(plotter, places - origin) * size_wh for places in (label_places(layers), marked_places(layers)))
     return Drawing(image=image, label_px=label_px, mark_px=mark_px, extent=None)

@@ -71,13 +71,13 @@ def compose_page(drawing: Drawing, layers: Sequence[Layer], size_wh: tuple[int, 
     axes.set(xlim=(0, width), ylim=(height, 0))
     # On a phone the line below the title would be too small to be read.
     _add_title(figure, replace(text, subtitle="") if is_phone else text, left)
-    taken: list[Bbox] = []
+    occupied: list[Bbox] = []
     if drawing.extent is not None:
         _label_axes(axes, drawing.extent, text.unit)
-        taken.append(_add_scale_bar(axes, drawing.extent, text.unit))
+        occupied.append(_add_scale_bar(axes, drawing.extent, text.unit))
     else:
         axes.set_axis_off()
-    _add_labels(axes, drawing, layers, taken)
+    _add_labels(axes, drawing, layers, occupied)
     _add_legend(figure, layers, (0, PHONE_LEGEND_PX) if is_phone else (size_wh[0] - PANEL_PX, height + bottom))
     return figure_image(figure)
 
@@ -181,7 +181,7 @@ def _add_scale_bar(axes: Axes, extent: tuple[float, float, float, float], unit: 
     return Bbox.from_extents(x - 9, y - 25, x + bar_px + 9, y + 11)
 
 
-def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: list[Bbox]) -> None:
+def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], occupied: list[Bbox]) -> None:
     """Place labels, strong ones first, off other labels and, if possible, off markers."""
     labels = [label for layer in layers for label in layer.labels]
     order = sorted(range(len(labels)), key=lambda index: not labels[index].strong)
@@ -196,16 +196,16 @@ def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: li
         artist = axes.text(x, y, labels[index].text, color=INK_COLOR, ha="center", va="center", zorder=6, linespacing=1.25, **style)
         artist.set_bbox({"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.8})
         size = artist.get_window_extent(canvas.get_renderer())
-        place = _find_free_place((x, y), (size.width + 8, size.height + 6), (width, height), taken, drawing.mark_px)
+        place = _find_free_place((x, y), (size.width + 8, size.height + 6), (width, height), occupied, drawing.mark_px)
         if place is None:
             artist.remove()
             continue
         artist.set_position(((place.x0 + place.x1) / 2, (place.y0 + place.y1) / 2))
-        taken.append(place)
+        occupied.append(place)
 
 
 def _find_free_place(
-    at: tuple[float, float], size: tuple[float, float], room: tuple[int, int], taken: Sequence[Bbox], marks: NDArray[np.float64]
+    at: tuple[float, float], size: tuple[float, float], room: tuple[int, int], occupied: Sequence[Bbox], marks: NDArray[np.float64]
 ) -> Bbox | None:
     """Return the box near a point that covers no label and the fewest markers, nearest first."""
     best, fewest = None, np.inf
@@ -214,7 +214,7 @@ def _find_free_place(
             x, y = at[0] + step_x * (size[0] / 2 + distance), at[1] + step_y * (size[1] / 2 + distance)
             box = Bbox.from_extents(x - size[0] / 2, y - size[1] / 2, x + size[0] / 2, y + size[1] / 2)
             inside = box.x0 >= 2 and box.y0 >= 2 and box.x1 <= room[0] - 2 and box.y1 <= room[1] - 2
-            if not inside or any(box.overlaps(other) for other in taken):
+            if not inside or any(box.overlaps(label) for label in occupied):
                 continue
             covered = int(((np.abs(marks - (x, y)) <= np.array(size) / 2 + MARK_RADIUS_PX).all(axis=1)).sum())
             if covered < fewest:
@@ -236,12 +236,12 @@ def _add_legend(figure: Figure, layers: Sequence[Layer], corner_px: tuple[float,
         axes.text(8, y, layer.name, size=10, weight="bold", color=INK_COLOR, va="center")
         y += LINE_PX
         room = max(1, int((top_px - LINE_PX - y) // LINE_PX))
-        shown = layer.legend if len(layer.legend) <= room else layer.legend[: room - 1]
-        for entry in shown:
+        entries = layer.legend if len(layer.legend) <= room else layer.legend[: room - 1]
+        for entry in entries:
             _add_entry(axes, entry, y)
             y += LINE_PX
-        if len(shown) < len(layer.legend):
-            axes.text(38, y, f"… and {len(layer.legend) - len(shown)} more", size=9, color=SOFT_COLOR, va="center")
+        if len(entries) < len(layer.legend):
+            axes.text(38, y, f"… and {len(layer.legend) - len(entries)} more", size=9, color=SOFT_COLOR, va="center")
             y += LINE_PX
         if layer.heat is not None:
             y = _add_heat(axes, layer.heat, y)

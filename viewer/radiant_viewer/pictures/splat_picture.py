@@ -72,9 +72,9 @@ def draw_splat_view(layers: Sequence[Layer], splats: Splats, camera: Cameras) ->
     picture = render_rgbd(splats, camera)
     origin = np.round(camera.centers[0])
     places, marks = label_places(layers), marked_places(layers)
-    drawn = [np.zeros((0, 3))]
-    drawn += [part for layer in layers for part in (layer.points, layer.segments.reshape(-1, 3), *layer.polygons)]
-    depths = _to_camera_frame(np.concatenate(drawn), camera)[:, 2]
+    vertices = [np.zeros((0, 3))]
+    vertices += [part for layer in layers for part in (layer.points, layer.segments.reshape(-1, 3), *layer.polygons)]
+    depths = _to_camera_frame(np.concatenate(vertices), camera)[:, 2]
     far = 1.1 * max(float(depths.max(initial=0.0)), float(picture[..., 3].max(initial=0.0)), 1e-3)
     with offscreen_plotter((width, height)) as plotter:
         Backdrop(plotter).show(picture)

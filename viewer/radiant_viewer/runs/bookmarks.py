@@ -90,11 +90,11 @@ class Bookmarks:
         """A bookmarked view; BadInput where there is none of that number."""
         views = self.load()
         if number not in views:
-            kept = ", ".join(map(str, sorted(views))) or "none"
-            raise BadInput(f"no view {number} is bookmarked here (bookmarked: {kept}): Ctrl+Alt+{number} bookmarks the 3D view.")
+            numbers = ", ".join(map(str, sorted(views))) or "none"
+            raise BadInput(f"no view {number} is bookmarked here (bookmarked: {numbers}): Ctrl+Alt+{number} bookmarks the 3D view.")
         return views[number].pose
 
 
 def _record_of(view: Bookmark) -> dict[str, Any]:
-    said = {"title": view.title, "note": view.note}
-    return {**pose_record(view.pose), **{name: text for name, text in said.items() if text}}
+    texts = {"title": view.title, "note": view.note}
+    return {**pose_record(view.pose), **{name: text for name, text in texts.items() if text}}

@@ -129,8 +129,8 @@ def border_figures(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tu
     for border in shared_borders(cloud_plan):
         chosen = np.flatnonzero((pieces.edge_pairs == (border.first, border.second)).all(axis=1))
         # Unobserved pieces have no figure of the whole border either.
-        known = chosen[np.isfinite(whole.levels[chosen])]
-        one = known[0] if len(known) else chosen[0]
+        measured = chosen[np.isfinite(whole.levels[chosen])]
+        one = measured[0] if len(measured) else chosen[0]
         figures.append(
             BorderFigures(
                 border=border,

@@ -52,14 +52,14 @@ def camera_figures(
     cameras, unit = scene.cameras, scene.frame.unit
     count = len(cameras)
     centers = cameras.centers
-    own = roles.edge_of_camera
+    edges = roles.edge_of_camera
     heading, heights = camera_heights(scene)
     distance = np.full(count, np.nan)
-    planned = own >= 0
-    distance[planned] = np.linalg.norm(cloud_plan.places_of(centers[planned, :2]) - cloud_plan.sites[own[planned]], axis=1)
+    planned = edges >= 0
+    distance[planned] = np.linalg.norm(cloud_plan.places_of(centers[planned, :2]) - cloud_plan.sites[edges[planned]], axis=1)
     columns: dict[str, NDArray[Any]] = {
         "name": np.array(cameras.names, dtype=str),
-        "region": np.array([*roles.edge_ids, ""])[own],
+        "region": np.array([*roles.edge_ids, ""])[edges],
         "device": np.array([*roles.device_ids, ""])[roles.device_of_camera],
         "use": np.where(roles.held_out, "held out", "training"),
         "psnr": np.array([(psnr_db or {}).get(name, np.nan) for name in cameras.names], np.float64),
@@ -119,16 +119,16 @@ def sort_rows(figures: CameraFigures, name: str, *, descending: bool = False) ->
 def filter_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
     """Return the rows (K,) that meet all conditions of a filter; a lone word is searched in names.
     Raises BadInput with an example for a condition that cannot be parsed."""
-    kept = np.ones(len(figures), bool)
+    keep_mask = np.ones(len(figures), bool)
     for part in re.split(r"\s+and\s+|,", text.strip()) if text.strip() else []:
         match = _CONDITION.fullmatch(part)
         if match is not None:
-            kept &= _holds(figures, match[1], match[2], match[3])
+            keep_mask &= _holds(figures, match[1], match[2], match[3])
         elif re.fullmatch(r"[^<>=~!]+", part):
-            kept &= np.char.find(np.char.lower(figures.column("name")), part.strip().lower()) >= 0
+            keep_mask &= np.char.find(np.char.lower(figures.column("name")), part.strip().lower()) >= 0
         else:
             raise BadInput(f"{part.strip()!r} is no condition: write for example psnr < 22 and region = north.")
-    return np.flatnonzero(kept)
+    return np.flatnonzero(keep_mask)
 
 
 def _holds(figures: CameraFigures, name: str, sign: str, wanted: str) -> NDArray[np.bool_]:

@@ -56,13 +56,13 @@ def surroundings(folder: Path, scene: SfmScene, cloud_plan: CloudPlan, num_gauss
 
 def require_support(folder: Path, num_gaussians: int) -> Support:
     """The measured support of a folder's model; BadInput with the command that measures it."""
-    found = find_support(folder, num_gaussians)
-    if found is None:
+    support = find_support(folder, num_gaussians)
+    if support is None:
         raise BadInput(
             f"which photographs support each Gaussian of {folder} was not measured: run 'radiant clean {folder} --measure', "
             "or take that step of the cleaning back by 'radiant clean --undo'."
         )
-    return found
+    return support
 
 
 def find_support(folder: Path, num_gaussians: int) -> Support | None:

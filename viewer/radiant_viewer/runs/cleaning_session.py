@@ -48,11 +48,11 @@ class CleaningSession:
     def save_kept_by(self, step: CleaningStep, path: Path) -> int:
         """Write what a further step would keep as PLY and return its number; BadInput where that is
         nothing, or the file cannot be written."""
-        kept = self.model.cleaned.kept & keeps(step, self.model.whole, self._around)
-        if not kept.any():
+        keep_mask = self.model.cleaned.kept & keeps(step, self.model.whole, self._around)
+        if not keep_mask.any():
             raise BadInput("the crop box holds no Gaussian: make it larger.")
-        save_ply(path, self.model.whole.select(kept))
-        return int(kept.sum())
+        save_ply(path, self.model.whole.select(keep_mask))
+        return int(keep_mask.sum())
 
     def _change(self, change: Callable[[Cleaning], Cleaning]) -> None:
         before = load_cleaning(self._path)

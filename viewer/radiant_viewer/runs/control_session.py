@@ -114,11 +114,11 @@ class ControlSession:
 
     def summary(self) -> str:
         """How far the marks reach."""
-        found = self._listed()
-        twice = [point for point in found.points if len(found.marks_of(point.name)) > 1]
+        listed = self._listed()
+        twice = [point for point in listed.points if len(listed.marks_of(point.name)) > 1]
         control = sum(not point.is_check for point in twice)
-        marks = f"{len(found.marks)} mark{'s' * (len(found.marks) != 1)}"
-        lacking = list_shortfall(found, self._run.scene.frame)
+        marks = f"{len(listed.marks)} mark{'s' * (len(listed.marks) != 1)}"
+        lacking = list_shortfall(listed, self._run.scene.frame)
         marks = marks if lacking is None else f"{lacking} {marks}"
         text = f"{marks}; {control} control and {len(twice) - control} check points are marked twice or more"
         if control < MIN_CONTROL:
@@ -131,11 +131,11 @@ class ControlSession:
         return f"radiant sfm {self.folder} --gcp {self.path} --out SCENE"
 
     def _place(self, name: str) -> FloatArray:
-        found, cameras = self._listed(), self._run.scene.cameras
-        index = [point.name for point in found.points].index(name)
+        control, cameras = self._listed(), self._run.scene.cameras
+        index = [point.name for point in control.points].index(name)
         row_of = {photograph: row for row, photograph in enumerate(cameras.names)}
-        sizes = {photo: self._size(photo) for photo in found.marks_of(name) if photo in row_of}
-        marks = {photo: pixel for photo, pixel in found.marks_of(name).items() if sizes.get(photo) is not None}
+        sizes = {photo: self._size(photo) for photo in control.marks_of(name) if photo in row_of}
+        marks = {photo: pixel for photo, pixel in control.marks_of(name).items() if sizes.get(photo) is not None}
         rows = np.array([row_of[photo] for photo in marks], np.int64)
         shares = np.array([np.array(pixel) / sizes[photo] for photo, pixel in marks.items()], np.float64).reshape(-1, 2)
         return guess_place(cameras, rows, shares, self._surveyed[index])
@@ -150,11 +150,11 @@ class ControlSession:
             raise BadInput("no points are listed yet: open a list of surveyed points, or add one.")
         return self.list
 
-    def _take(self, found: ControlList) -> None:
+    def _take(self, control: ControlList) -> None:
         """BadInput for a place that the list's system does not have."""
-        if self.list is None or found.points != self.list.points:
-            self._surveyed = world_places(found, self._run.scene.frame)
-        self.list = found
+        if self.list is None or control.points != self.list.points:
+            self._surveyed = world_places(control, self._run.scene.frame)
+        self.list = control
 
     def _read_again(self) -> None:
         """Take the list of the file if that is not what was read or written last; BadInput where it
@@ -168,8 +168,8 @@ class ControlSession:
         self._take(load_control_list(self.path, self._run.scene.cameras.names))
         self._written = now
 
-    def _keep(self, found: ControlList) -> None:
-        self._take(found)
-        found.save(self.path)
-        self._written = found.text().encode()
+    def _keep(self, control: ControlList) -> None:
+        self._take(control)
+        control.save(self.path)
+        self._written = control.text().encode()
         self.changed()

@@ -19,14 +19,14 @@ def local_file_names(folder: Path, devices: Iterable[str]) -> dict[str, str]:
     """Return number → file name from the records in `devices/<id>` of the run in `folder`."""
     files: dict[str, str] = {}
     for device in devices:
-        own = folder / "devices" / device
+        device_folder = folder / "devices" / device
         # A device's records are not part of the run: an unreadable one counts as absent.
         with suppress(BadInput, StoreDamaged):
-            if (own / "scene.safetensors").is_file():
-                names = load_scene(own / "scene.safetensors").cameras.names
+            if (device_folder / "scene.safetensors").is_file():
+                names = load_scene(device_folder / "scene.safetensors").cameras.names
                 files |= {f"{device}/{index:04d}": name for index, name in enumerate(names)}
         with suppress(BadInput, StoreDamaged):
-            if (own / "held_out.safetensors").is_file():
-                names = load_cameras(own / "held_out.safetensors").names
+            if (device_folder / "held_out.safetensors").is_file():
+                names = load_cameras(device_folder / "held_out.safetensors").names
                 files |= {f"{device}/held-out-{index:04d}": name for index, name in enumerate(names)}
     return files

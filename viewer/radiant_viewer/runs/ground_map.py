@@ -35,11 +35,11 @@ class GroundMap:
         flat, rises = cells[inside] @ np.array([CELLS, 1]), points[inside, 2]
         order = np.lexsort([rises, flat])
         names, starts, counts = np.unique(flat[order], return_index=True, return_counts=True)
-        known = counts >= LEAST_POINTS
-        if not known.any():
+        is_measured = counts >= LEAST_POINTS
+        if not is_measured.any():
             return None
         heights = np.full(CELLS * CELLS, np.nan)
-        heights[names[known]] = rises[order][(starts + (LOW_SHARE * counts).astype(np.int64))[known]]
+        heights[names[is_measured]] = rises[order][(starts + (LOW_SHARE * counts).astype(np.int64))[is_measured]]
         grid = heights.reshape(CELLS, CELLS)
         nearest = np.asarray(distance_transform_edt(np.isnan(grid), return_distances=False, return_indices=True))
         return GroundMap(low=low, high=high, heights=grid[nearest[0], nearest[1]])

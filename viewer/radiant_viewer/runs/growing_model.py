@@ -35,8 +35,8 @@ def growing_model(folder: Path, edges: Sequence[EdgePlan]) -> Splats | None:
 
 def growing_files(folder: Path) -> list[Path]:
     """The files that `growing_model` may read."""
-    found = [*folder.glob(f"edges/*/{MODEL_NAME}"), *folder.glob(f"devices/*/{MODEL_NAME}"), *folder.glob(f"devices/*/{CHECKPOINTS}")]
-    return sorted(found)
+    files = [*folder.glob(f"edges/*/{MODEL_NAME}"), *folder.glob(f"devices/*/{MODEL_NAME}"), *folder.glob(f"devices/*/{CHECKPOINTS}")]
+    return sorted(files)
 
 
 def _edge_parts(folder: Path, edge: EdgePlan) -> list[Splats]:

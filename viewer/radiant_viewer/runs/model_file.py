@@ -33,5 +33,5 @@ def load_model(path: Path, *, as_trained: bool = False) -> CleanedModel:
         return model
     if path.is_dir():
         return cleaned_model(load_ply(path / PLY_NAME), cleaning, Surroundings())
-    read = read_model(path)
-    return cleaned_model(read.splats, cleaning, Surroundings(), read.notes)
+    model_file = read_model(path)
+    return cleaned_model(model_file.splats, cleaning, Surroundings(), model_file.notes)

@@ -54,9 +54,9 @@ def _find_in_field(run: RunView, index: int) -> PhotoAnswer:
     name, owner = run.photographs[index], run.owner(index)
     file = PurePosixPath(run.files.get(name, ""))
     if owner and file.name and not file.is_absolute() and ".." not in file.parts:
-        found = _first_file([run.folder / "devices" / owner / "photos" / file])
-        if found is not None:
-            return found
+        answer = _first_file([run.folder / "devices" / owner / "photos" / file])
+        if answer is not None:
+            return answer
     return PhotoAnswer(path=None, reason=f"This photograph never left {f'device {owner}' if owner else 'its device'}, which took it.")
 
 

@@ -43,10 +43,10 @@ def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
             holds no plan.
         StoreDamaged: the file is broken.
     """
-    found = load_plan_file(path)
-    cloud_plan, edge_plans = found.cloud, found.edges
-    if found.waypoints is not None:
-        scene = scene_before_capture(found.waypoints, found.ground_m)
+    plan_file = load_plan_file(path)
+    cloud_plan, edge_plans = plan_file.cloud, plan_file.edges
+    if plan_file.waypoints is not None:
+        scene = scene_before_capture(plan_file.waypoints, plan_file.ground_m)
     if scene is None:
         raise BadInput(f"{path} was made from a scene and holds no positions: name the scene's folder by --scene.")
     require_plan_of(len(scene.cameras), cloud_plan, edge_plans)

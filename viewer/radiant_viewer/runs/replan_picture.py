@@ -42,12 +42,12 @@ def _marks(name: str, points: FloatArray, color: tuple[int, int, int], text: str
     if not len(points):
         return None
     every = -(-len(points) // MAX_MARKS)
-    shown = points[::every]
+    thinned = points[::every]
     return Layer(
         name=name,
-        points=shown,
-        point_colors=np.tile(np.array(color, np.uint8), (len(shown), 1)),
-        point_size_px=float(np.clip(120 / np.sqrt(len(shown)), 2.0, 5.0)),
+        points=thinned,
+        point_colors=np.tile(np.array(color, np.uint8), (len(thinned), 1)),
+        point_size_px=float(np.clip(120 / np.sqrt(len(thinned)), 2.0, 5.0)),
         point_rim=not square,
         square_points=square,
         legend=(LegendEntry(text=f"{text} ({len(points)})", color=color, marker="square" if square else "ring"),),

@@ -17,11 +17,11 @@ State = Literal["running", "done", "skipped", "failed", "interrupted"]
 
 @dataclass(frozen=True, kw_only=True)
 class StageState:
-    """Progress of a stage or node: done of total in any unit; seconds once it is done."""
+    """Progress of a stage or node: completed of total in any unit; seconds once it is done."""
 
     stage: str
     state: State
-    done: float = 0.0
+    completed: float = 0.0
     total: float = 0.0
     note: str = ""
     seconds: float | None = None
@@ -31,7 +31,7 @@ class StageState:
         """The finished share, 0 to 1; None while the total is unknown."""
         if self.state in ("done", "skipped"):
             return 1.0
-        return min(1.0, max(0.0, self.done / self.total)) if self.total > 0 else None
+        return min(1.0, max(0.0, self.completed / self.total)) if self.total > 0 else None
 
 
 @dataclass(frozen=True, kw_only=True)

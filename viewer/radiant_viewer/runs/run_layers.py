@@ -44,8 +44,8 @@ def run_layers(run: RunView, *, with_seams: bool = True) -> list[Layer]:
     points = [sparse_point_layer(run.scene)] if len(run.scene.points) else []
     # The points of a run in the field are its Gaussians already.
     if run.splats is not None:
-        known = {layer.name for layer in points}
-        points += [layer for layer in model_layers(run.splats, framed_box(run.scene, run.cloud_plan)) if layer.name not in known]
+        names = {layer.name for layer in points}
+        points += [layer for layer in model_layers(run.splats, framed_box(run.scene, run.cloud_plan)) if layer.name not in names]
     if run.splats is not None and (support := run_support(run)) is not None:
         points.append(support_layer(run.splats, support, run.scene.points))
     cameras = [camera_layer(run.scene.cameras, run.roles, "split")]

@@ -75,8 +75,8 @@ def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SI
     if view == "regions":
         return plan_picture(run.scene, run.cloud_plan, run.edge_plans, run.held_out, size_wh)
     if view == "cameras":
-        seen = None if run.splats is None else shown_of_run(run).splats
-        return cameras_picture(run.scene, run.roles, run.psnr_db, size_wh, seen)
+        splats = None if run.splats is None else shown_of_run(run).splats
+        return cameras_picture(run.scene, run.roles, run.psnr_db, size_wh, splats)
     if view == "seams":
         return seams_picture(run.scene, run.cloud_plan, require_splats(run), size_wh, proven_excess_db(run.folder))
     if view == "splats":
@@ -87,9 +87,9 @@ def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SI
 def _require_camera(run: RunView, view: str, camera: str) -> None:
     if view not in ("splats", "compare"):
         raise BadInput(f"a camera is of the views splats and compare, not of {view!r}: leave it out.")
-    known = run.photographs if view == "compare" else run.scene.cameras.names
-    if camera not in known:
-        near = get_close_matches(camera, known, 1, 0)
+    names = run.photographs if view == "compare" else run.scene.cameras.names
+    if camera not in names:
+        near = get_close_matches(camera, names, 1, 0)
         raise BadInput(f"there is no photograph {camera!r} in this run: did you mean {near[0]!r}?" if near else "the run has no cameras.")
 
 
@@ -147,8 +147,8 @@ def _plan_text(cloud_plan: CloudPlan, num_devices: int) -> str:
     )
 
 
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'s' * (number != 1)}"
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def cameras_picture(
@@ -189,7 +189,7 @@ def seams_picture(
     also those that photographs show (`proven_excess_db`)."""
     findings = seam_findings(scene, cloud_plan, splats, proven_db)
     ground, unit = ground_height(scene), scene.frame.unit
-    labels = tuple(_finding_label(finding, ground) for finding in findings if finding.found)
+    labels = tuple(_finding_label(finding, ground) for finding in findings if finding.has_seam)
     # Labels of seams are placed before those of edges.
     seams = replace(figures_layer(scene, cloud_plan, [finding.figures for finding in findings]), labels=labels)
     layers = [border_layer(cloud_plan, ground), seams, edge_site_layer(cloud_plan, ground)]
@@ -211,8 +211,8 @@ def _finding_label(finding: SeamFinding, ground: float) -> Label:
     excess = [] if finding.excess_db is None else [f"{finding.excess_db:+.1f} dB of error beyond it"]
     text = f"{finding.figures.title}\nseam: {', '.join([*step, *excess])}"
     # Beside the line, so that it does not hide it.
-    beside = border.ends.mean(axis=0) + 0.15 * border.length_m * border.toward_first
-    return Label(text=text, position=np.append(beside, ground), strong=True)
+    label_place = border.ends.mean(axis=0) + 0.15 * border.length_m * border.toward_first
+    return Label(text=text, position=np.append(label_place, ground), strong=True)
 
 
 def splats_picture(
@@ -227,9 +227,9 @@ def splats_picture(
     subtitle = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
     if camera is None:
         view = fit_camera(framed_positions(scene, cloud_plan), room_wh)
-        shown = shown_model(splats, framed_box(scene, cloud_plan))
-        subtitle += f"; {shown.sentence}" if shown.sentence else ""
-        splats = shown.splats
+        visible = shown_model(splats, framed_box(scene, cloud_plan))
+        subtitle += f"; {visible.sentence}" if visible.sentence else ""
+        splats = visible.splats
     else:
         view = _fit_to_page(scene.cameras.named([camera]), room_wh)
         subtitle += f"   ·   from {camera}"
@@ -240,17 +240,17 @@ def splats_picture(
 def model_picture(splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
     """Return a model alone by our renderer, from obliquely above."""
     box = model_box(splats)
-    shown = shown_model(splats, box)
-    subtitle = f"{len(shown.splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
-    subtitle += f"; {shown.sentence}" if shown.sentence else ""
-    drawing = draw_splat_view([], shown.splats, fit_camera(box_corners(box), drawing_size_wh(size_wh, is_map=False)))
+    model = shown_model(splats, box)
+    subtitle = f"{len(model.splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
+    subtitle += f"; {model.sentence}" if model.sentence else ""
+    drawing = draw_splat_view([], model.splats, fit_camera(box_corners(box), drawing_size_wh(size_wh, is_map=False)))
     # A model alone has no unit.
     return compose_page(drawing, [], size_wh, PageText(title="Model", subtitle=subtitle, unit="units"))
 
 
 def _region_names(cloud_plan: CloudPlan, ground: float) -> Layer:
-    shown = [(edge, border) for edge, border in zip(cloud_plan.edge_ids, cloud_plan.borders, strict=True) if len(border) >= 3]
-    labels = tuple(Label(text=edge, position=np.append(border.mean(axis=0), ground), strong=True) for edge, border in shown)
+    regions = [(edge, border) for edge, border in zip(cloud_plan.edge_ids, cloud_plan.borders, strict=True) if len(border) >= 3]
+    labels = tuple(Label(text=edge, position=np.append(border.mean(axis=0), ground), strong=True) for edge, border in regions)
     return Layer(name="Regions", labels=labels)
 
 
@@ -274,11 +274,11 @@ def comparisons_picture(run: RunView, width_px: int = SIZE_WH[0], camera: str | 
         raise BadInput(f"{camera!r} was trained on, so nothing compares it: choose one of {', '.join(sorted(psnr_db)[:4])} …")
     ordered = sorted(psnr_db, key=lambda name: psnr_db[name])
     # Keyed by name: with one or two photographs a row is not shown twice.
-    shown = {ordered[0]: "lowest", ordered[len(ordered) // 2]: "middle", ordered[-1]: "highest"} | {ordered[0]: "lowest"}
+    places = {ordered[0]: "lowest", ordered[len(ordered) // 2]: "middle", ordered[-1]: "highest"} | {ordered[0]: "lowest"}
     if camera is not None:
-        shown = {camera: f"number {ordered.index(camera) + 1} from below"}
+        places = {camera: f"number {ordered.index(camera) + 1} from below"}
     rows = []
-    for name, place in shown.items():
+    for name, place in places.items():
         photo, render, difference = (load_image(path) for path in comparison_paths(run, name))
         title = f"{name}: {psnr_db[name]:.2f} dB, {place} of {len(ordered)}"
         rows.append(comparison_picture(photo, render, difference, title=title, width_px=width_px))

@@ -84,8 +84,8 @@ class RunView:
     @property
     def placed_psnr_db(self) -> dict[str, float]:
         """The figures of photographs whose cameras are in the scene."""
-        known = set(self.scene.cameras.names)
-        return {name: value for name, value in (self.psnr_db or {}).items() if name in known}
+        names = set(self.scene.cameras.names)
+        return {name: value for name, value in (self.psnr_db or {}).items() if name in names}
 
     def owner(self, index: int) -> str:
         """Return the device of photograph `index` of `photographs`, empty where there is none."""
@@ -141,7 +141,7 @@ def load_run_view(folder: Path, *, with_files: bool = False, as_trained: bool = 
         scene, plan_path = load_scene(folder / SCENE_NAME), folder / PLAN_NAME
         names = scene.cameras.names
         psnr_db = _image_psnr_db(folder / METRICS_NAME) if (folder / METRICS_NAME).is_file() else None
-        held_out = frozenset(psnr_db or (name for name, held in zip(names, held_out_mask(names), strict=True) if held))
+        held_out = frozenset(psnr_db or (name for name, is_held in zip(names, held_out_mask(names), strict=True) if is_held))
         in_field = False
     cloud_plan, edge_plans = load_plan(plan_path)
     roles = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out)
@@ -177,10 +177,10 @@ def _unplanned_view(folder: Path, kind: FolderKind, as_trained: bool) -> RunView
     psnr_db = _image_psnr_db(folder / METRICS_NAME) if is_scored else None
     names = scene.cameras.names
     # Training drops copies of photographs before it splits: its figures name the held-out ones.
-    held = np.isin(names, list(psnr_db)) if psnr_db else held_out_mask(names)
-    held_out = frozenset(name for name, is_held in zip(names, held, strict=True) if is_held)
-    cloud_plan, edge_plans = single_region_plan(scene, int((~held).sum()))
-    roles, nobody = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out), np.full(len(held), NOBODY, np.int64)
+    is_held_out = np.isin(names, list(psnr_db)) if psnr_db else held_out_mask(names)
+    held_out = frozenset(name for name, is_held in zip(names, is_held_out, strict=True) if is_held)
+    cloud_plan, edge_plans = single_region_plan(scene, int((~is_held_out).sum()))
+    roles, nobody = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out), np.full(len(is_held_out), NOBODY, np.int64)
     model = _model(folder, scene, cloud_plan, as_trained) if kind == "training" else None
     return RunView(
         folder=folder,

@@ -30,7 +30,7 @@ class SeamFinding:
     excess_db: float | None = None
 
     @property
-    def found(self) -> bool:
+    def has_seam(self) -> bool:
         """Whether colours step by more than texture, or photographs show the seam."""
         return self.figures.has_step or self.excess_db is not None
 
@@ -59,15 +59,15 @@ def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
     """Return the verdict on all borders with their observed length, and the largest step beside its
     texture."""
     judged = [finding.figures for finding in findings if finding.figures.has_verdict]
-    found = sum(finding.found for finding in findings)
-    if not judged and not found:
+    num_seams = sum(finding.has_seam for finding in findings)
+    if not judged and not num_seams:
         return f"No verdict: less than {MIN_OBSERVED_SHARE:.0%} of each border was observed on both sides"
     if not judged:
-        return f"Photographs show a seam at {found} of {len(findings)} border{'s' * (len(findings) != 1)}"
+        return f"Photographs show a seam at {num_seams} of {len(findings)} border{'s' * (len(findings) != 1)}"
     limit = max(figures.detectable_levels for figures in judged)
     verdict = (
-        f"Seam found at {found} of {len(findings)} border{'s' * (len(findings) != 1)}"
-        if found
+        f"Seam found at {num_seams} of {len(findings)} border{'s' * (len(findings) != 1)}"
+        if num_seams
         else f"No step of {limit:.0f} levels of 255 or more could be told from texture"
     )
     observed = sum(figures.observed_length for figures in judged)
@@ -78,10 +78,10 @@ def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
 def excess_text(folder: Path) -> str:
     """Return what photographs show beyond the borders of a run; "" where it was not measured."""
     record = _metrics(folder)
-    excess_db, found = record.get("seam_excess_db"), record.get("seam_found")
+    excess_db, has_seam = record.get("seam_excess_db"), record.get("seam_found")
     if not isinstance(excess_db, int | float):
         return ""
-    return f"Photographs show the ground beyond borders {excess_db:+.2f} dB worse: {'a seam' if found else 'no seam found'}."
+    return f"Photographs show the ground beyond borders {excess_db:+.2f} dB worse: {'a seam' if has_seam else 'no seam found'}."
 
 
 def _metrics(folder: Path) -> dict[str, Any]:

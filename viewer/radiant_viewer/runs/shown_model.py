@@ -91,10 +91,10 @@ def model_layers(splats: Splats, box: FloatArray | None) -> list[Layer]:
     """The scene and its surroundings as points, to show each by its box; "Gaussians" first."""
     if box is None or not len(splats):
         return [splat_layer(splats)]
-    shown = shown_model(splats, box)
-    around = splat_layer(splats.select(shown.around))
-    text = f"{int(shown.around.sum()):,} Gaussians, {shown.decision.figure:g} %"
-    return [splat_layer(shown.splats), replace(around, name=SURROUNDINGS, legend=(LegendEntry(text=text, color=GREY, marker="dot"),))]
+    model = shown_model(splats, box)
+    around = splat_layer(splats.select(model.around))
+    text = f"{int(model.around.sum()):,} Gaussians, {model.decision.figure:g} %"
+    return [splat_layer(model.splats), replace(around, name=SURROUNDINGS, legend=(LegendEntry(text=text, color=GREY, marker="dot"),))]
 
 
 def framed_box(scene: SfmScene, cloud_plan: CloudPlan) -> FloatArray:

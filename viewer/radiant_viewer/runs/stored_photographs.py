@@ -31,11 +31,11 @@ def stored_photographs(run: RunView) -> Path:
     owners = [run.folder / "sfm", run.folder, *([source / "sfm", source] if source is not None else [])]
     for owner in owners:
         try:
-            found = read_json(owner / "task.json").get("source") if (owner / "task.json").is_file() else None
+            photographs = read_json(owner / "task.json").get("source") if (owner / "task.json").is_file() else None
         except StoreDamaged:
             continue
-        if isinstance(found, str):
-            return _existing(Path(found), run)
+        if isinstance(photographs, str):
+            return _existing(Path(photographs), run)
     raise BadInput(f"{run.folder.name} was not made by structure from motion of photographs, so ground control would not be used.")
 
 

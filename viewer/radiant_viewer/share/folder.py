@@ -79,8 +79,8 @@ def page_of_run(run: RunView, *, with_photographs: bool, with_surroundings: bool
     splats, borders = require_splats(run), run_borders(run)
     hidden = ""
     if not with_surroundings:
-        shown = shown_of_run(run)
-        splats, hidden = shown.splats, f"; {shown.sentence}" if shown.sentence else ""
+        model = shown_of_run(run)
+        splats, hidden = model.splats, f"; {model.sentence}" if model.sentence else ""
     return ScenePage(
         splats=splats,
         title="Scene" if run.in_field else run.folder.resolve().name,
@@ -88,7 +88,7 @@ def page_of_run(run: RunView, *, with_photographs: bool, with_surroundings: bool
         about=f"{len(splats):,} Gaussians{hidden}",
         places=run_places(run, borders),
         layers=run_layers_of_page(run, borders),
-        scale=scale or PageScale(unit=run.unit, said="", ground=ground_height(run.scene)),
+        scale=scale or PageScale(unit=run.unit, note="", ground=ground_height(run.scene)),
         pairs=_pairs(run) if with_photographs else (),
     )
 
@@ -116,10 +116,10 @@ def save_page(
             write_atomic(folder / name, data)
         comparisons.append({"title": title, "text": text, "photograph": names[0], "render": names[1]})
     scene = _scene(page, f"./{MODEL}/{META_NAME}", comparisons)
-    for name, data in {**viewer_files(), "page.js": _own("page.js"), "page.css": _own("page.css")}.items():
+    for name, data in {**viewer_files(), "page.js": _page_file("page.js"), "page.css": _page_file("page.css")}.items():
         write_atomic(folder / name, data)
     write_atomic(folder / "scene.json", json.dumps(scene, allow_nan=False).encode())
-    write_atomic(folder / "index.html", _own("index.html").replace(b"{{ title }}", html.escape(page.title).encode()))
+    write_atomic(folder / "index.html", _page_file("index.html").replace(b"{{ title }}", html.escape(page.title).encode()))
     return figures
 
 
@@ -145,17 +145,17 @@ def save_single_page(path: Path, page: ScenePage) -> int:
 
 
 def _inlined(title: str, scene: dict[str, Any]) -> bytes:
-    vendored, text = viewer_files(), _own("index.html").decode()
-    own = _own("page.js").decode()
-    assert _IMPORT in own and vendored[SCRIPT].rstrip().endswith(_EXPORT)
+    vendored, text = viewer_files(), _page_file("index.html").decode()
+    page_script = _page_file("page.js").decode()
+    assert _IMPORT in page_script and vendored[SCRIPT].rstrip().endswith(_EXPORT)
     engine = vendored[SCRIPT].rstrip().removesuffix(_EXPORT).decode()
-    styles = f"<style>\n{vendored[STYLE].decode()}\n{_own('page.css').decode()}</style>"
+    styles = f"<style>\n{vendored[STYLE].decode()}\n{_page_file('page.css').decode()}</style>"
     text = text.replace('<link rel="stylesheet" href="./viewer.css">\n', "").replace('<link rel="stylesheet" href="./page.css">', styles)
     text = text.replace('<a href="./LICENSES.txt">SuperSplat Viewer</a>', "SuperSplat Viewer")
     # In a script element only "</" can end it, and JSON has another way of writing it.
     data = json.dumps(scene, allow_nan=False).replace("</", "<\\/")
     text = text.replace(">null</script>", f">{data}</script>").replace("{{ title }}", html.escape(title))
-    script = f"/*\n{vendored[LICENSES].decode()}\n*/\n{engine}\n{own.replace(_IMPORT, '')}"
+    script = f"/*\n{vendored[LICENSES].decode()}\n*/\n{engine}\n{page_script.replace(_IMPORT, '')}"
     return text.replace('<script type="module" src="./page.js"></script>', f'<script type="module">\n{script}</script>').encode()
 
 
@@ -197,7 +197,7 @@ def _jpeg(path: Path) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
-def _own(name: str) -> bytes:
+def _page_file(name: str) -> bytes:
     return (_PAGE / name).read_bytes()
 
 

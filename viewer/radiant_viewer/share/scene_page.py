@@ -58,20 +58,20 @@ class PageScale:
     """What lengths on a page are in, and how well they are known.
 
     unit: "m" or "units"; scale_sigma: σ of the scale as a share; place_sigma: σ of a place that is
-    pointed at along each axis, in the unit; said: what there is to say of it; ground: height of the
+    pointed at along each axis, in the unit; note: what there is to say of it; ground: height of the
     ground in the scene, along which the scale bar lies.
     """
 
     unit: str = "units"
     scale_sigma: float = 0.0
     place_sigma: float = 0.0
-    said: str = "lengths in the model's own units"
+    note: str = "lengths in the model's own units"
     ground: float = 0.0
 
     def record(self) -> dict[str, Any]:
         """As the page has it."""
         sigmas = {"scaleSigma": round(self.scale_sigma, 9), "placeSigma": round(self.place_sigma, 9)}
-        return {"unit": self.unit, **sigmas, "said": self.said, "ground": round(self.ground, 3)}
+        return {"unit": self.unit, **sigmas, "said": self.note, "ground": round(self.ground, 3)}
 
 
 def overview(low: FloatArray, high: FloatArray, title: str = "Overview", elevation_deg: float = OVERVIEW_ELEVATION_DEG) -> PagePlace:
@@ -224,13 +224,13 @@ def run_layers_of_page(run: RunView, borders: Sequence[BorderFigures]) -> list[d
         layers.append(_regions(run, names, ground))
     if borders:
         pieces = [(figures.ends, figures.levels_above_texture) for figures in borders]
-        ends = np.concatenate([own for own, _ in pieces])
-        levels = np.concatenate([own for _, own in pieces])
+        ends = np.concatenate([piece_ends for piece_ends, _ in pieces])
+        levels = np.concatenate([piece_levels for _, piece_levels in pieces])
         layers.append(_layer("Borders", BORDER_COLOR, [_line(one, ground, BORDER_COLOR, 2.0) for one in ends]))
         stepping = np.nan_to_num(levels) >= VISIBLE_LEVELS
         colors = np.where(stepping, STEP_COLOR, CALM_COLOR)
-        known = np.isfinite(levels)
-        lines = [_line(one, ground, str(color), 5.0) for one, color in zip(ends[known], colors[known], strict=True)]
+        has_levels = np.isfinite(levels)
+        lines = [_line(one, ground, str(color), 5.0) for one, color in zip(ends[has_levels], colors[has_levels], strict=True)]
         layers.append(_layer("Seams: visible steps are red", STEP_COLOR, lines))
     if not run.in_field and len(run.scene.cameras):
         layers.append(_layer("Cameras", CAMERA_COLOR, _frusta(run)))
@@ -302,8 +302,8 @@ def _title(figures: BorderFigures, names: Sequence[str]) -> str:
 def _step(figures: BorderFigures) -> str:
     if not figures.has_verdict:
         return "too few photographs show both sides to judge it"
-    seen = "to be seen" if figures.step_levels >= VISIBLE_LEVELS else "hardly to be seen"
-    return f"colours step by {figures.step_levels:.1f} of 255 levels where the parts meet, {seen}"
+    visibility = "to be seen" if figures.step_levels >= VISIBLE_LEVELS else "hardly to be seen"
+    return f"colours step by {figures.step_levels:.1f} of 255 levels where the parts meet, {visibility}"
 
 
 def _hex(color: tuple[int, int, int]) -> str:

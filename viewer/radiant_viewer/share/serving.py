@@ -94,8 +94,8 @@ class _Handler(BaseHTTPRequestHandler):
         host = (self.headers.get("Host") or "").rsplit(":", 1)[0]
         # Without urlsplit, which refuses what looks like a broken address of a host.
         parts = unquote(self.path.partition("?")[0].partition("#")[0]).split("/")
-        known = len(parts) > 2 and not parts[0] and secrets.compare_digest(parts[1].encode(), self.secret.encode())
-        if host not in (HOST, "localhost") or not known:
+        has_secret = len(parts) > 2 and not parts[0] and secrets.compare_digest(parts[1].encode(), self.secret.encode())
+        if host not in (HOST, "localhost") or not has_secret:
             return None
         path = self.root.joinpath(*(part for part in parts[2:] if part)) if any(parts[2:]) else self.root / "index.html"
         try:

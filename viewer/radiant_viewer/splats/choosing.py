@@ -56,17 +56,17 @@ def choose_renderer(
     if not card():
         return _decision(False, backend, seconds, "there is no graphics card, on which Open3D's scene could be the faster one")
     with TemporaryDirectory(prefix="radiant-") as folder:
-        given = Path(folder) / "ours.npz"
-        np.savez(given, picture=picture, K=camera.Ks[0], cam_from_world=camera.cam_from_world[0])
-        found = (measure or _open3d_measured)(path, given)
-    if isinstance(found, str):
-        return _decision(False, backend, seconds, f"Open3D's scene drew nothing: {found}")
-    other_s, error = found
+        arrays_path = Path(folder) / "ours.npz"
+        np.savez(arrays_path, picture=picture, K=camera.Ks[0], cam_from_world=camera.cam_from_world[0])
+        measured = (measure or _open3d_measured)(path, arrays_path)
+    if isinstance(measured, str):
+        return _decision(False, backend, seconds, f"Open3D's scene drew nothing: {measured}")
+    other_s, error = measured
     if other_s >= seconds:
         return _decision(False, backend, seconds, f"Open3D's scene takes {other_s:.3f} s")
     if error > MAX_DEPTH_ERROR:
-        told = f"depths off by up to {100 * error:.1f} % of the distance" if error < 1 else "other pixels"
-        return _decision(False, backend, seconds, f"Open3D's scene takes {other_s:.3f} s but has {told}, and layers are hidden by depth")
+        fault = f"depths off by up to {100 * error:.1f} % of the distance" if error < 1 else "other pixels"
+        return _decision(False, backend, seconds, f"Open3D's scene takes {other_s:.3f} s but has {fault}, and layers are hidden by depth")
     return _decision(True, backend, other_s, f"our renderer ({backend}) takes {seconds:.3f} s, and depths agree within {100 * error:.1f} %")
 
 
@@ -75,14 +75,14 @@ def _decision(open3d: bool, backend: str, seconds: float, reason: str) -> Decisi
     return Decision(stage="view", topic="renderer", choice=choice, figure=round(seconds, 4), unit="s a picture of 640 × 400", reason=reason)
 
 
-def _open3d_measured(path: Path, given: Path) -> Measured:
-    command = [sys.executable, "-m", "radiant_viewer.splats.open3d_rgbd", str(path), str(given)]
+def _open3d_measured(path: Path, arrays_path: Path) -> Measured:
+    command = [sys.executable, "-m", "radiant_viewer.splats.open3d_rgbd", str(path), str(arrays_path)]
     try:
         ended = subprocess.run(command, capture_output=True, timeout=PATIENCE_S, check=False)
     except subprocess.TimeoutExpired:
         return f"no picture within {PATIENCE_S:.0f} s"
     try:
-        said = json.loads(ended.stdout)
-        return float(said["seconds"]), float(said["depth_error"])
+        answer = json.loads(ended.stdout)
+        return float(answer["seconds"]), float(answer["depth_error"])
     except (ValueError, KeyError, TypeError):
         return f"its process ended with exit code {ended.returncode}"

@@ -46,7 +46,7 @@ class ModelView(QObject):
     sharpened = Signal()
     """The 3D view shows the model in full."""
 
-    def __init__(self, host: Host, splats: Splats, kept: NDArray[np.bool_]) -> None:
+    def __init__(self, host: Host, splats: Splats, keep_mask: NDArray[np.bool_]) -> None:
         super().__init__()
         self._host, self._splats = host, splats
         self._num_kept, self._num_masks = len(splats), 0
@@ -58,9 +58,9 @@ class ModelView(QObject):
         # A copy of what the strict reader accepted: the run's file may change while this is open.
         self.ply_path = Path(self._folder.name) / "model.ply"
         save_ply(self.ply_path, splats)
-        self._keep(kept)
+        self._keep(keep_mask)
         self._process = self._start(chooses=True)
-        self._wanted, self._asked, self._drawn = b"", (b"", False), (b"", False)
+        self._wanted, self._asked_picture, self._drawn_picture = b"", (b"", False), (b"", False)
         self._map_asked, self._map_drawn = b"", b""
         self._map_extent = (0.0, 0.0, 1.0, 1.0)
         self.last_seconds, self.num_drawn = 0.0, 0
@@ -74,38 +74,38 @@ class ModelView(QObject):
         self._is_looking = False
         for canvas in (host.view, host.map):
             canvas.watch_camera(self._look_soon)
-        host.view.plotter.waits = lambda: self.is_drawn_by_us and self._process.is_busy and self._asked[0] != self._drawn[0]
+        host.view.plotter.waits = lambda: self.is_drawn_by_us and self._process.is_busy and self._asked_picture[0] != self._drawn_picture[0]
         host.view.before_screenshot = host.map.before_screenshot = self.sharpen
 
     @property
     def is_drawn_by_us(self) -> bool:
         """Whether the views show the model."""
-        return self.is_shown and not self.has_failed and self._drawn[0] != b""
+        return self.is_shown and not self.has_failed and self._drawn_picture[0] != b""
 
     @property
     def shown_is_full(self) -> bool:
         """Whether the 3D view shows the model in full for its camera."""
-        return self._drawn == (self._key(), True)
+        return self._drawn_picture == (self._key(), True)
 
     @property
     def num_gaussians(self) -> int:
         """Gaussians that are drawn."""
         return self._num_kept
 
-    def set_seen(self, seen: NDArray[np.bool_]) -> None:
+    def set_seen(self, keep_mask: NDArray[np.bool_]) -> None:
         """Draw those of a mask (N,) from now on; nothing where it is empty."""
-        if seen.any() and not np.array_equal(seen, self._kept):
-            self._keep(seen)
+        if keep_mask.any() and not np.array_equal(keep_mask, self._keep_mask):
+            self._keep(keep_mask)
             self.look()
-        self.set_shown(bool(seen.any()))
+        self.set_shown(bool(keep_mask.any()))
 
-    def set_shown(self, shown: bool) -> None:
+    def set_shown(self, is_shown: bool) -> None:
         """Show or hide the model in both views."""
-        if shown == self.is_shown:
+        if is_shown == self.is_shown:
             return
-        self.is_shown = shown
-        self._drawn, self._map_drawn = (b"", False), b""
-        if not shown:
+        self.is_shown = is_shown
+        self._drawn_picture, self._map_drawn = (b"", False), b""
+        if not is_shown:
             self._hide()
         self.look()
 
@@ -153,7 +153,7 @@ class ModelView(QObject):
 
     def _start(self, *, chooses: bool) -> SplatProcess:
         process = SplatProcess(self, self.ply_path, chooses=chooses)
-        process.drawn.connect(self._on_drawn)
+        process.frame_drawn.connect(self._on_drawn)
         process.ready.connect(self._on_ready)
         process.failed.connect(self._on_failed)
         return process
@@ -164,17 +164,17 @@ class ModelView(QObject):
             self._is_looking = True
             QTimer.singleShot(0, self.look)
 
-    def _keep(self, kept: NDArray[np.bool_]) -> None:
-        self._kept, self._num_kept = kept, int(kept.sum())
-        self._ground = Ground.of(self._splats if kept.all() else self._splats.select(kept))
+    def _keep(self, keep_mask: NDArray[np.bool_]) -> None:
+        self._keep_mask, self._num_kept = keep_mask, int(keep_mask.sum())
+        self._ground = Ground.of(self._splats if keep_mask.all() else self._splats.select(keep_mask))
         # A new file each time: the renderer knows parts by the file's name.
         self._num_masks += 1
-        self.kept_path = None if kept.all() else Path(self._folder.name) / f"kept{self._num_masks}.npy"
+        self.kept_path = None if keep_mask.all() else Path(self._folder.name) / f"kept{self._num_masks}.npy"
         if self.kept_path is not None:
-            np.save(self.kept_path, kept)
+            np.save(self.kept_path, keep_mask)
 
     def _part(self) -> Part:
-        return Part(box=self._host.crop_box, kept=self.kept_path)
+        return Part(box=self._host.crop_box, keep_path=self.kept_path)
 
     def _key(self) -> bytes:
         view = self._host.view
@@ -190,7 +190,7 @@ class ModelView(QObject):
         if not self._process.is_ready or self._process.is_busy or not self.is_shown or not self._host.view.plotter.isVisible():
             return
         rests = not self._rest.isActive()
-        if self._wanted and (self._drawn[0] != self._wanted or (rests and not self._drawn[1])):
+        if self._wanted and (self._drawn_picture[0] != self._wanted or (rests and not self._drawn_picture[1])):
             self._ask_view(rests)
         elif rests and not self._map_rest.isActive() and self._map_drawn != self._map_key():
             self._ask_map()
@@ -201,7 +201,7 @@ class ModelView(QObject):
         coarse = 1 if rests else self.coarse
         thinned = self._is_thinned and not rests
         camera = view.pose.camera((max(32, round(width / coarse)), max(32, round(height / coarse))))
-        self._asked = (self._wanted, coarse == 1 and not thinned)
+        self._asked_picture = (self._wanted, coarse == 1 and not thinned)
         view.plotter.keep_camera()
         if thinned:
             part = replace(part, max_gaussians=MOVING_GAUSSIANS)
@@ -224,8 +224,8 @@ class ModelView(QObject):
         )
 
     def _on_ready(self) -> None:
-        if (made := self.decision) is not None:
-            self._host.view.note.setToolTip(f"Drawn by {made.choice}, {made.figure} {made.unit}: {made.reason}.")
+        if (decision := self.decision) is not None:
+            self._host.view.note.setToolTip(f"Drawn by {decision.choice}, {decision.figure} {decision.unit}: {decision.reason}.")
         self.look()
 
     def _on_drawn(self, frame: Frame) -> None:
@@ -240,10 +240,10 @@ class ModelView(QObject):
             self._place_map()
             self._host.map.plotter.update()
         else:
-            self._drawn, self.last_seconds = self._asked, frame.seconds
+            self._drawn_picture, self.last_seconds = self._asked_picture, frame.seconds
             self.num_drawn += 1
             self._tune(frame.seconds)
-            self._host.view.show_model(frame.picture, is_coarse=not self._drawn[1])
+            self._host.view.show_model(frame.picture, is_coarse=not self._drawn_picture[1])
             self._note(frame)
         self.look()
         if self.shown_is_full:
@@ -251,7 +251,7 @@ class ModelView(QObject):
 
     def _tune(self, seconds: float) -> None:
         """Choose how coarse the next picture of a moving view is by how long this one took."""
-        if self._drawn[1] and self.coarse != 1:
+        if self._drawn_picture[1] and self.coarse != 1:
             return
         if seconds > 1.25 * MOVING_S:
             self._is_thinned = self._is_thinned or (self.coarse == COARSEST and self._num_kept > MOVING_GAUSSIANS)
@@ -261,7 +261,7 @@ class ModelView(QObject):
 
     def _note(self, frame: Frame) -> None:
         height, width = frame.picture.shape[:2]
-        detail = "" if self._drawn[1] else ", coarse while moving"
+        detail = "" if self._drawn_picture[1] else ", coarse while moving"
         self._host.view.note.setText(f"{self._num_kept:,} Gaussians, {width} × {height} px in {1000 * frame.seconds:.0f} ms{detail}")
 
     def _place_map(self) -> None:

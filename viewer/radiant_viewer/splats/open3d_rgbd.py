@@ -68,12 +68,12 @@ class Open3DRenderer:
         from open3d.visualization import rendering
 
         if (width, height) not in self._of_size:
-            made: Any = rendering.OffscreenRenderer(width, height)
+            renderer: Any = rendering.OffscreenRenderer(width, height)
             material: Any = rendering.MaterialRecord()
             material.shader = "gaussianSplat"
             material.gaussian_splat_max_tiles_per_splat = TILES_PER_SPLAT
-            made.scene.add_geometry(_NAME, self._cloud, material)
-            self._of_size[width, height] = made
+            renderer.scene.add_geometry(_NAME, self._cloud, material)
+            self._of_size[width, height] = renderer
         return self._of_size[width, height]
 
 
@@ -91,8 +91,8 @@ def main() -> int:
     not."""
     pipe = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    with np.load(sys.argv[2]) as given:
-        ours, K, pose = (given[name] for name in ("picture", "K", "cam_from_world"))
+    with np.load(sys.argv[2]) as arrays:
+        ours, K, pose = (arrays[name] for name in ("picture", "K", "cam_from_world"))
     height, width = ours.shape[:2]
     camera = Cameras(names=("view",), Ks=K[None], cam_from_world=pose[None], sizes_wh=np.array([[width, height]]))
     renderer, picture = Open3DRenderer(load_ply(Path(sys.argv[1]))), np.zeros_like(ours)

@@ -37,6 +37,6 @@ class ModelRenderer:
         with torch.no_grad():
             near_m = float(self._reach.near_m(camera)[0])
             output = rasterize(self._tensors, viewmats, Ks, width, height, sh_degree=self._sh_degree, background=behind, near_m=near_m)
-        colors, alphas, depths = (drawn[0].cpu().numpy() for drawn in (output.images, output.alphas, output.depths))
+        colors, alphas, depths = (images[0].cpu().numpy() for images in (output.images, output.alphas, output.depths))
         np.clip(colors, 0, 1, out=into[..., :3])
         into[..., 3] = np.where(alphas >= OPAQUE, depths, 0.0)

@@ -43,12 +43,12 @@ class Part:
 
     box: FloatArray | None = None
     max_gaussians: int | None = None
-    kept: Path | None = None
+    keep_path: Path | None = None
 
     @property
     def key(self) -> bytes:
         """Equal for equal parts."""
-        return (b"" if self.box is None else self.box.tobytes()) + f"{self.max_gaussians} {self.kept}".encode()
+        return (b"" if self.box is None else self.box.tobytes()) + f"{self.max_gaussians} {self.keep_path}".encode()
 
 
 class SplatProcess(QObject):
@@ -56,7 +56,7 @@ class SplatProcess(QObject):
     process ended by itself. Our renderer draws, unless the process `chooses` Open3D's."""
 
     ready = Signal()
-    drawn = Signal(object)
+    frame_drawn = Signal(object)
     failed = Signal(str)
 
     def __init__(self, parent: QObject, ply_path: Path, *, chooses: bool = False) -> None:
@@ -73,11 +73,11 @@ class SplatProcess(QObject):
         self._process.readyReadStandardError.connect(self._on_error_text)
         self._process.finished.connect(self._on_finished)
         self._process.errorOccurred.connect(self._on_finished)
-        asked = [str(ply_path.resolve()), self._frames, *(["choose"] if chooses else [])]
-        self._process.start(sys.executable, ["-m", "radiant_viewer.splats.splat_worker", *asked])
+        arguments = [str(ply_path.resolve()), self._frames, *(["choose"] if chooses else [])]
+        self._process.start(sys.executable, ["-m", "radiant_viewer.splats.splat_worker", *arguments])
 
     def ask(self, request: int, camera: Cameras, background: tuple[int, int, int], part: Part) -> None:
-        """Request a picture of the one camera; `drawn` carries the `Frame`."""
+        """Request a picture of the one camera; `frame_drawn` carries the `Frame`."""
         assert self.is_ready and not self.is_busy
         self.is_busy = True
         # By turns, so that the last picture stays as it is while the next one is drawn.
@@ -90,7 +90,7 @@ class SplatProcess(QObject):
             "background": list(background),
             "box": None if part.box is None else part.box.tolist(),
             "max_gaussians": part.max_gaussians,
-            "kept": None if part.kept is None else str(part.kept),
+            "kept": None if part.keep_path is None else str(part.keep_path),
             "slot": self._slot,
         }
         self._process.write(json.dumps(message).encode() + b"\n")
@@ -120,7 +120,7 @@ class SplatProcess(QObject):
             width, height = (int(side) for side in header["size_wh"])
             picture = np.memmap(f"{self._frames}{self._slot}", np.float32, "r+", shape=(height, width, 4))
             self.is_busy = False
-            self.drawn.emit(Frame(request=int(header["id"]), picture=np.asarray(picture), seconds=float(header["seconds"])))
+            self.frame_drawn.emit(Frame(request=int(header["id"]), picture=np.asarray(picture), seconds=float(header["seconds"])))
 
     def _on_error_text(self) -> None:
         self._last_words = (self._last_words + bytes(self._process.readAllStandardError().data()).decode(errors="replace"))[-2000:]

@@ -44,24 +44,24 @@ MAX_PARTS = 4
 class Parts:
     """Parts of a model, each cut out once, of which the latest few are kept."""
 
-    def __init__(self, splats: Splats, made: Callable[[Splats], Drawer]) -> None:
-        self._splats, self._made = splats, made
-        self._kept: OrderedDict[str, Drawer | None] = OrderedDict()
+    def __init__(self, splats: Splats, make_drawer: Callable[[Splats], Drawer]) -> None:
+        self._splats, self._make_drawer = splats, make_drawer
+        self._renderers: OrderedDict[str, Drawer | None] = OrderedDict()
 
-    def renderer(self, box: list[list[float]] | None, max_gaussians: int | None, kept: str | None) -> Drawer | None:
+    def renderer(self, box: list[list[float]] | None, max_gaussians: int | None, keep_path: str | None) -> Drawer | None:
         """The renderer of the weightiest Gaussians in the box; None where there are none."""
-        key = json.dumps([box, max_gaussians, kept])
-        if key not in self._kept:
-            chosen = np.ones(len(self._splats), bool) if kept is None else np.load(kept)
+        key = json.dumps([box, max_gaussians, keep_path])
+        if key not in self._renderers:
+            chosen = np.ones(len(self._splats), bool) if keep_path is None else np.load(keep_path)
             inside = np.flatnonzero(chosen if box is None else chosen & inside_box(self._splats.means, box))
             if max_gaussians is not None and len(inside) > max_gaussians:
                 weights = _weights(self._splats)[inside]
                 inside = inside[np.sort(np.argpartition(-weights, max_gaussians)[:max_gaussians])]
-            self._kept[key] = self._made(self._splats.select(inside)) if len(inside) else None
-        self._kept.move_to_end(key)
-        while len(self._kept) > MAX_PARTS:
-            self._kept.popitem(last=False)
-        return self._kept[key]
+            self._renderers[key] = self._make_drawer(self._splats.select(inside)) if len(inside) else None
+        self._renderers.move_to_end(key)
+        while len(self._renderers) > MAX_PARTS:
+            self._renderers.popitem(last=False)
+        return self._renderers[key]
 
 
 def _weights(splats: Splats) -> NDArray[np.float32]:

@@ -66,9 +66,9 @@ class MachinePane(QWidget):
         self.table.setFixedHeight(FORM_PX)
         self.add, self.remove, self.form_file = QPushButton("Add line"), QPushButton("Remove line"), QLineEdit()
         self.form_file.setToolTip("The system file that is written of this list, for radiant run --system")
-        self.said = QLabel("")
-        self.said.setWordWrap(True)
-        self.said.setProperty("soft", "true")
+        self.message = QLabel("")
+        self.message.setWordWrap(True)
+        self.message.setProperty("soft", "true")
         self._pages = QStackedWidget()
         self._settle = QTimer(self, singleShot=True, interval=SETTLE_MS)
         self._settle.timeout.connect(self._ask_for_file)
@@ -154,15 +154,15 @@ class MachinePane(QWidget):
     def on_written(self) -> None:
         """The form's list makes a system file."""
         self._is_written = True
-        self.said.setText("")
-        self.said.hide()
+        self.message.setText("")
+        self.message.hide()
         self.changed.emit()
 
     def show_error(self, sentence: str) -> None:
         """Why the form's file could not be written."""
         self._is_written = False
-        self.said.setText(sentence)
-        self.said.show()
+        self.message.setText(sentence)
+        self.message.show()
         self.changed.emit()
 
     def _profile(self, row: int) -> str:
@@ -222,7 +222,7 @@ class MachinePane(QWidget):
         buttons.addWidget(self.form_file, stretch=1)
         column.addWidget(self.table)
         column.addLayout(buttons)
-        column.addWidget(self.said)
+        column.addWidget(self.message)
         for page in (here, file, form):
             self._pages.addWidget(page)
         layout = QVBoxLayout(self)

@@ -70,10 +70,10 @@ class SourcePane(QFrame):
         if name:
             self.choose(Path(name))
 
-    def show_found(self, found: dict[str, Any]) -> None:
+    def show_found(self, source: dict[str, Any]) -> None:
         """Say what the chosen path is."""
-        self.text.setText(f"{self.path}: {found['title']}.")
-        notes = "\n".join(found["notes"])
+        self.text.setText(f"{self.path}: {source['title']}.")
+        notes = "\n".join(source["notes"])
         self.notes.setText(notes)
         self.notes.setVisible(bool(notes))
 

@@ -33,7 +33,7 @@ class BrowserSplats:
         self._run = run
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-web-")
         self.route = f"splats-{secrets.token_urlsafe(16)}"
-        self.told: dict[str, Any] = {"look": None, "layers": [], "mark": None}
+        self.page_state: dict[str, Any] = {"look": None, "layers": [], "mark": None}
         self._layers: list[str] = []
         self._part = "scene"
         self._num_looks = 0
@@ -57,7 +57,7 @@ class BrowserSplats:
             page = page_of_run(self._run, with_photographs=False, with_surroundings=with_surroundings)
             if not folder.is_dir():
                 folder.mkdir()
-                save_page(folder, page, [whole_region(page.splats.means)], LodLimits(), lambda done, total: None)
+                save_page(folder, page, [whole_region(page.splats.means)], LodLimits(), lambda num_done, total: None)
         except RadiantError as error:
             return str(error)
         self._part = part
@@ -67,12 +67,15 @@ class BrowserSplats:
     def show(self, visible: Collection[str]) -> None:
         """Show the layers of these names, "Cameras by PSNR" and the like as cameras."""
         kinds = {name.split(":")[0]: name for name in self._layers}
-        self.told = {**self.told, "layers": [name for kind, name in kinds.items() if any(one.startswith(kind) for one in visible)]}
+        self.page_state = {
+            **self.page_state,
+            "layers": [name for kind, name in kinds.items() if any(one.startswith(kind) for one in visible)],
+        }
 
     def look(self, place: PagePlace) -> None:
         """Fly to a place."""
         self._num_looks += 1
-        self.told = {**self.told, "look": {**viewer_camera(place), "number": self._num_looks}}
+        self.page_state = {**self.page_state, "look": {**viewer_camera(place), "number": self._num_looks}}
 
     def fit(self) -> None:
         """Fly to where the whole scene is seen."""
@@ -80,7 +83,7 @@ class BrowserSplats:
 
     def mark(self, camera: int) -> None:
         """Draw the pyramid of the selected camera over all."""
-        self.told = {**self.told, "mark": frustum_line(self._run, camera, hex_color(MARK_COLOR), MARK_WIDTH_PX)}
+        self.page_state = {**self.page_state, "mark": frustum_line(self._run, camera, hex_color(MARK_COLOR), MARK_WIDTH_PX)}
 
     def close(self) -> None:
         """Remove the folder."""

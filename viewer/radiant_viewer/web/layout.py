@@ -129,9 +129,9 @@ def _legend() -> None:
 def _views(page: PageActions) -> tuple[Any, Any]:
     images = []
     with html.Div(classes="rad-views"):
-        for name, view, other in (("Map", page.scene.map, "view"), ("3D", page.scene.view, "map")):
+        for name, view, hidden_when in (("Map", page.scene.map, "view"), ("3D", page.scene.view, "map")):
             second = " rad-second" if name == "3D" else ""
-            with html.Div(v_show=f"panes !== '{other}'", classes=f"rad-pane{second}", raw_attrs=[f'data-view="{name}"']):
+            with html.Div(v_show=f"panes !== '{hidden_when}'", classes=f"rad-pane{second}", raw_attrs=[f'data-view="{name}"']):
                 html.Div(name, classes="rad-name")
                 images.append(vtk.VtkRemoteView(view.plotter.render_window, interactive_quality=75, interactive_ratio=1, still_quality=94))
                 if name == "3D":

@@ -93,7 +93,7 @@ class WebPage:
 
     def push(self) -> None:
         """Send a frame of both views."""
-        self.server.state.splats_told = self.splats.told
+        self.server.state.splats_told = self.splats.page_state
         for image in self.images:
             image.update()
 
@@ -139,8 +139,8 @@ class WebPage:
         self.scene.view.look(pose, stop.length)
         self.splats.look(PagePlace(title="", text="", view=pose, aspect=1.0))
         self.scene.map.look(pose, 0.6 * stop.length)
-        shown = {*self.server.state.visible, "Seams"}
-        self.server.state.visible = [layer.name for layer in self.scene.layers if layer.name in shown]
+        visible = {*self.server.state.visible, "Seams"}
+        self.server.state.visible = [layer.name for layer in self.scene.layers if layer.name in visible]
         self.push()
 
     def toggle_solo(self, name: str) -> None:
@@ -184,7 +184,7 @@ class WebPage:
         state.sort_by = [{"key": "psnr_db" if scored else "name", "order": "asc"}]
         state.order = sort_rows(self.figures, state.sort_by[0]["key"]).tolist()
         state.gantt = picture_url(run.folder / "pictures" / "gantt.png")
-        state.update({"splats_page": "", "splats_told": self.splats.told, "splats_shown": True, "splats_reason": ""})
+        state.update({"splats_page": "", "splats_told": self.splats.page_state, "splats_shown": True, "splats_reason": ""})
         state.update({"dark": False, "solo": "", "seams": [], "seam": -1, "seams_note": "Measuring the seams …", "selected": None})
         state.update(
             {"pictures": None, "figures": [], "kind": "photograph", "share": 50, "tab": "cameras", "panes": "both", "drawer": False}
@@ -228,7 +228,7 @@ class WebPage:
         reason = await asyncio.to_thread(self.splats.write, with_surroundings=with_surroundings)
         with self.server.state as state:
             self.splats.show(state.visible)
-            state.splats_told = self.splats.told
+            state.splats_told = self.splats.page_state
             state.splats_page = "" if reason else self.splats.address
             state.splats_reason = reason and f"The browser cannot draw the model: {reason}"
 

@@ -34,8 +34,8 @@ Row = dict[str, Any]
 
 def layer_row(layer: Layer, theme: Theme = LIGHT) -> Row:
     """Return name, legend entries and colour bar of a layer under a theme."""
-    shown = apply_theme(layer, theme)
-    legend, scale = shown.legend, shown.heat
+    themed = apply_theme(layer, theme)
+    legend, scale = themed.legend, themed.heat
     entries = [{"text": entry.text, "color": hex_color(entry.color), "marker": entry.marker} for entry in legend]
     note = moving_note(layer)
     heat = scale and {"label": scale.label, "low": f"{scale.low:.4g}", "high": f"{scale.high:.4g}", "gradient": _gradient(scale.start)}
@@ -104,20 +104,18 @@ def camera_pictures(run: RunView, index: int) -> Row:
     """Return photograph, render and difference of a camera as data URLs, "" with a reason where a
     picture is not here."""
     name = run.scene.cameras.names[index]
-    shown = {"photograph": "", "render": "", "difference": "", "reason": ""}
+    row = {"photograph": "", "render": "", "difference": "", "reason": ""}
     if run.roles.held_out[index]:
         try:
             paths = comparison_paths(run, name)
         except BadInput as error:
-            shown["reason"] = str(error)
+            row["reason"] = str(error)
         else:
-            return shown | {
-                key: data_url(load_image(path)) for key, path in zip(("photograph", "render", "difference"), paths, strict=True)
-            }
+            return row | {key: data_url(load_image(path)) for key, path in zip(("photograph", "render", "difference"), paths, strict=True)}
     answer = find_photograph(run, index)
     if answer.path is None:
-        return shown | {"reason": answer.reason}
-    return shown | {
+        return row | {"reason": answer.reason}
+    return row | {
         "photograph": data_url(load_image(answer.path)),
         "reason": "A training photograph: only held-out ones are rendered.",
     }
@@ -133,8 +131,8 @@ def data_url(image: Image) -> str:
     share = min(1.0, SHOWN_PX / max(image.shape[:2]))
     size_wh = (max(1, round(image.shape[1] * share)), max(1, round(image.shape[0] * share)))
     small = cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA) if share < 1 else image
-    done, data = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    assert done, "OpenCV could not write a JPEG of 8-bit colours"
+    ok, data = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    assert ok, "OpenCV could not write a JPEG of 8-bit colours"
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 

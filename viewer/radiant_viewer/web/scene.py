@@ -79,9 +79,9 @@ class WebView:
         for actor in self.actors.get(name, []):
             actor.SetVisibility(visible)
 
-    def fit(self, drawn: FloatArray) -> None:
+    def fit(self, positions: FloatArray) -> None:
         """Fit positions (K,3) of the world into the view; a map looks straight down, north up."""
-        local = drawn - self.origin
+        local = positions - self.origin
         camera = self.plotter.camera
         if not self.is_map:
             camera.view_angle = 30.0
@@ -141,8 +141,8 @@ class WebScene:
         self.visible = {layer.name for layer in layers} - set(hidden)
         self.theme, self._framed = theme, framed
         self.mark: Layer | None = None
-        drawn = framing_positions(self.layers)
-        self.origin: FloatArray = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
+        positions = framing_positions(self.layers)
+        self.origin: FloatArray = (positions.min(axis=0) + positions.max(axis=0)) / 2
         self.map, self.view = (WebView(is_map=is_map, origin=self.origin, later=later) for is_map in (True, False))
         self.set_theme(theme)
         self.fit()
@@ -187,9 +187,9 @@ class WebScene:
 
     def fit(self) -> None:
         """Fit the scene into both views, or all layers where nothing says where it is."""
-        drawn = framing_positions(self.layers) if self._framed is None else self._framed
+        positions = framing_positions(self.layers) if self._framed is None else self._framed
         for view in self.views:
-            view.fit(drawn)
+            view.fit(positions)
 
     def look(self, pose: ViewPose, reach: float) -> None:
         """Move both views to a pose."""

@@ -65,8 +65,8 @@ def open_page(run_folder: Path, announce: Callable[[str], None], host: str = LOC
 
 def address_text(host: str, port: int, secret: str) -> str:
     """Return the address to open, and how to reach it from another machine."""
-    shown = LOCAL_HOST if host in ("0.0.0.0", "::") else host  # noqa: S104 (compared, not bound)
-    address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/?secret={secret}"
+    name = LOCAL_HOST if host in ("0.0.0.0", "::") else host  # noqa: S104 (compared, not bound)
+    address = f"http://{f'[{name}]' if ':' in name else name}:{port}/?secret={secret}"
     lines = [f"open {address}"]
     if host == LOCAL_HOST:
         lines.append(f"from another machine first: ssh -L {port}:127.0.0.1:{port} {socket.gethostname()}")

@@ -111,8 +111,8 @@ def place_docks(window: QMainWindow, docks: Docks) -> None:
     for dock in (dock for group in (rights, bottoms) if len(group) > 1 for dock in group):
         # The tab repeats the title, and at 1280×800 a title bar costs a row of the table.
         dock.setTitleBarWidget(QWidget())
-    for first, other in zip([*rights[:-1], *bottoms[:-1]], [*rights[1:], *bottoms[1:]], strict=True):
-        window.tabifyDockWidget(first, other)
+    for first, second in zip([*rights[:-1], *bottoms[:-1]], [*rights[1:], *bottoms[1:]], strict=True):
+        window.tabifyDockWidget(first, second)
     for corner, area in (
         (Qt.Corner.BottomLeftCorner, bottom),
         (Qt.Corner.BottomRightCorner, bottom),

@@ -59,7 +59,7 @@ def open_window(
     require_desktop()
     owner = _WindowOwner(Opening(path=Path(path), feeds=feeds or RunFeeds(), setting=setting, scene=scene))
     # Errors come before any window appears.
-    first = owner.read()
+    first = owner.load()
     application = _application()
     owner.show(first, theme)
     return _work_on(application)
@@ -94,7 +94,7 @@ def open_start(feeds: StartFeeds, opening: Callable[[Path], Opening], theme: The
     def open_path(path: Path) -> None:
         try:
             owner = _WindowOwner(opening(path))
-            reading = owner.read()
+            reading = owner.load()
         except RadiantError as error:
             window.show_status(str(error))
             return
@@ -167,7 +167,7 @@ class _WindowOwner:
         self._path, self._feeds, self._setting, self._scene = opening.path, opening.feeds, opening.setting, opening.scene
         self.window: InspectorWindow | WaitingWindow | None = None
 
-    def read(self) -> _Reading | None:
+    def load(self) -> _Reading | None:
         """Return what to show; None while a running run has no plan. Raises as `load_subject` and
         the setting."""
         setting = None if self._setting is None else self._setting()
@@ -208,7 +208,7 @@ class _WindowOwner:
 
         assert self.window is not None
         try:
-            reading = self.read()
+            reading = self.load()
         except RadiantError as error:
             # Keep what is shown: the run may be in the middle of writing.
             self.window.show_status(str(error))

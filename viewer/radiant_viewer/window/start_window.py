@@ -69,7 +69,7 @@ class StartWindow(QMainWindow):
     def __init__(self, feeds: StartFeeds, theme: ThemeName = "light") -> None:
         super().__init__()
         self._feeds = feeds
-        self.found: dict[str, Any] = {}
+        self.found_source: dict[str, Any] = {}
         self.command: tuple[str, ...] = ()
         """Arguments of `radiant` for what is chosen; empty where something is missing."""
         self._pending: dict[int, str] = {}
@@ -83,10 +83,10 @@ class StartWindow(QMainWindow):
         self.setAcceptDrops(True)
         self.worker = LineProcess(self, feeds.worker)
         self.worker.answered.connect(self._on_answer)
-        self.worker.said.connect(self._on_said)
+        self.worker.message.connect(self._on_said)
         self.worker.ended.connect(lambda _, words: self.show_status(f"What folders are cannot be told any more: {words}"))
         self.measuring = LineProcess(self, feeds.measuring)
-        self.measuring.said.connect(lambda words: self.show_status(f"Measuring this machine: {words}"))
+        self.measuring.message.connect(lambda words: self.show_status(f"Measuring this machine: {words}"))
         self.measuring.ended.connect(self._on_measured)
         self.source, self.machines, self.map = SourcePane(), MachinePane(), PlacesMap()
         self.measure = QPushButton("Measure this machine (5 min)")
@@ -159,7 +159,7 @@ class StartWindow(QMainWindow):
 
     def begin(self) -> None:
         """Do what is chosen: open it, or begin the command."""
-        if self.found.get("next") == "open" and self.source.path is not None:
+        if self.found_source.get("next") == "open" and self.source.path is not None:
             self.wants_open.emit(self.source.path)
             return
         if not self.command or self.begun is not None:
@@ -167,7 +167,7 @@ class StartWindow(QMainWindow):
         if not self._keep_machines():
             return
         out = Path(self.out.text().strip())
-        self._opens = out / "plan.json" if self.found["next"] == "plan" and out.suffix != ".json" else out
+        self._opens = out / "plan.json" if self.found_source["next"] == "plan" and out.suffix != ".json" else out
         self.begun = self._feeds.begin(self.command)
         self.show_status(f"Begun: radiant {join(self.command)}")
         self._poll.start()
@@ -177,7 +177,7 @@ class StartWindow(QMainWindow):
         if self.begun is None or self._opens is None:
             return
         words = self.begun.poll()
-        if self.found["next"] == "run":
+        if self.found_source["next"] == "run":
             if self.progress is None and (self._opens / "manifest.json").is_file():
                 self._watch(self._opens)
             if is_planned(self._opens):
@@ -217,7 +217,7 @@ class StartWindow(QMainWindow):
 
     def _send(self, kind: str, request: dict[str, Any]) -> None:
         """Ask something, in place of what was asked of this kind before."""
-        for number in [number for number, other in self._pending.items() if other == kind]:
+        for number in [number for number, pending_kind in self._pending.items() if pending_kind == kind]:
             self._pending[number] = ""
         number = max(self._pending, default=0) + 1
         self._pending[number] = kind
@@ -242,12 +242,12 @@ class StartWindow(QMainWindow):
         if self._wish is not None and "forecast" not in self._pending.values():
             self._send_wish()
 
-    def _on_found(self, found: dict[str, Any]) -> None:
-        self.found = found
-        self.source.show_found(found)
-        self.map.show_places(np.array(found["places"], np.float64).reshape(-1, 2), found["places_are"], found["unit"])
-        self.out.setText(found["out"])
-        self.machines.propose(Path(found["out"] or Path.cwd() / "run"))
+    def _on_found(self, source: dict[str, Any]) -> None:
+        self.found_source = source
+        self.source.show_found(source)
+        self.map.show_places(np.array(source["places"], np.float64).reshape(-1, 2), source["places_are"], source["unit"])
+        self.out.setText(source["out"])
+        self.machines.propose(Path(source["out"] or Path.cwd() / "run"))
         self._ask_forecast()
 
     def _on_said(self, words: str) -> None:
@@ -255,7 +255,7 @@ class StartWindow(QMainWindow):
             self.source.text.setText(f"{self.source.path}: {words} …")
 
     def _look(self, path: Path) -> None:
-        self.found, self.command = {}, ()
+        self.found_source, self.command = {}, ()
         self._wish = None
         self._show_state()
         self._send("look", {"look": str(path)})
@@ -263,11 +263,11 @@ class StartWindow(QMainWindow):
     def _ask_forecast(self) -> None:
         self.command = ()
         self._show_state()
-        if self.found.get("next") not in ("run", "plan") or not self.machines.is_ready or not self.out.text().strip():
+        if self.found_source.get("next") not in ("run", "plan") or not self.machines.is_ready or not self.out.text().strip():
             return
         system, system_as = (None if path is None else str(path) for path in (self.machines.system, self.machines.system_as))
         self._wish = {
-            "path": self.found["path"],
+            "path": self.found_source["path"],
             "out": self.out.text().strip(),
             "system": system,
             "system_as": system_as,
@@ -301,7 +301,7 @@ class StartWindow(QMainWindow):
 
     def _show_state(self) -> None:
         """Enable what can be done now, and show the command line that it is."""
-        step, is_idle = self.found.get("next", ""), self.begun is None
+        step, is_idle = self.found_source.get("next", ""), self.begun is None
         makes = step in ("run", "plan")
         for widget in (self.source, self.machines, self.out, *self.quality.buttons()):
             widget.setEnabled(is_idle and (widget is self.source or makes))
@@ -353,7 +353,7 @@ class StartWindow(QMainWindow):
         return True
 
     def _copy_line(self) -> None:
-        if self.found.get("next") != "open" and not self._keep_machines():
+        if self.found_source.get("next") != "open" and not self._keep_machines():
             return
         QGuiApplication.clipboard().setText(self.line.toPlainText())
         self.show_status("Copied: type it in a terminal, with the same result")

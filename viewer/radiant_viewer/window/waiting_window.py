@@ -49,5 +49,5 @@ class WaitingWindow(QMainWindow):
         if is_planned(self.path):
             self.wants_reload.emit()
             return
-        ended = f"This run ended ({self.progress.shown.status or 'unknown'}) before it had a plan: {finish_command(self.path)}."
-        self.text.setText(WAITING if self.progress.shown.is_running else ended)
+        ended = f"This run ended ({self.progress.progress.status or 'unknown'}) before it had a plan: {finish_command(self.path)}."
+        self.text.setText(WAITING if self.progress.progress.is_running else ended)

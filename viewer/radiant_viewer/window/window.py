@@ -73,8 +73,8 @@ class InspectorWindow(QMainWindow):
         super().__init__()
         self.subject, self.run = subject, subject.run
         self.layers: list[Layer] = list(subject.layers)
-        drawn = framing_positions(self.layers)
-        self.origin: FloatArray = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
+        positions = framing_positions(self.layers)
+        self.origin: FloatArray = (positions.min(axis=0) + positions.max(axis=0)) / 2
         self.theme: Theme = LIGHT
         self.selected: int | None = None
         self._was_shown = False
@@ -87,7 +87,7 @@ class InspectorWindow(QMainWindow):
         self.splitter = splitter = QSplitter(Qt.Orientation.Horizontal)
         self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin, unit=subject.unit)
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
-        self.view.said, self.view.ground_under = self.show_status, subject.ground_under
+        self.view.show_message, self.view.ground_under = self.show_status, subject.ground_under
         self._marks = Marks((self.map, self.view))
         splitter.setStretchFactor(1, 1)
         self.setCentralWidget(splitter)
@@ -95,8 +95,8 @@ class InspectorWindow(QMainWindow):
         self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
         for canvas in (self.map, self.view):
             canvas.click_takers.append(self._pick)
-        seen = self._seen()
-        self.model = None if subject.model is None or seen is None else ModelView(self, subject.model.whole, seen)
+        mask = self._visible_mask()
+        self.model = None if subject.model is None or mask is None else ModelView(self, subject.model.whole, mask)
         self.docks = make_docks(self, subject, feeds or RunFeeds(), None if self.model is None else self.model.ply_path)
         place_docks(self, self.docks)
         if self.model is not None:
@@ -136,7 +136,7 @@ class InspectorWindow(QMainWindow):
         self.layer_dock.set_visible(name, visible)
 
     def replace_layer(self, layer: Layer, *, map_only: bool = False) -> None:
-        names = [other.name for other in self.layers]
+        names = [layer_drawn.name for layer_drawn in self.layers]
         if map_only:
             slot = names.index(layer.name) if layer.name in names else len(names)
             self.map.draw(layer, slot, visible=self.layer_dock.is_visible(layer.name))
@@ -345,7 +345,7 @@ class InspectorWindow(QMainWindow):
         self.view.set_pose(fitting_pose(self.subject.framing, self.view.size_wh, FIT_ANGLE_DEG, SIDES_DEG[side]))
         self.render_views()
 
-    def _seen(self) -> NDArray[np.bool_] | None:
+    def _visible_mask(self) -> NDArray[np.bool_] | None:
         """Which Gaussians (N,) the views show; None without a model."""
         session = self.docks.cleaning.session if hasattr(self, "docks") else None
         model = self.subject.model if session is None else session.model
@@ -378,8 +378,8 @@ class InspectorWindow(QMainWindow):
         assert session is not None
         self.run = None if self.run is None else replace(self.run, model=session.model)
         self._tried = file_stamps(self.subject.path)
-        if self.model is not None and (seen := self._seen()) is not None:
-            self.model.set_seen(seen)
+        if self.model is not None and (mask := self._visible_mask()) is not None:
+            self.model.set_seen(mask)
         for layer in model_layers(session.model.splats, self.subject.box):
             self.replace_layer(layer)
         self.docks.cleaning.show_session()
@@ -396,7 +396,7 @@ class InspectorWindow(QMainWindow):
         self.render_views()
 
     def _draw(self, layer: Layer) -> None:
-        slot = next(index for index, other in enumerate(self.layers) if other.name == layer.name)
+        slot = next(index for index, drawn_layer in enumerate(self.layers) if drawn_layer.name == layer.name)
         for canvas in (self.map, self.view):
             canvas.draw(layer, slot, visible=self._draws(layer))
             self.docks.cleaning.box.apply_to(canvas)
@@ -415,8 +415,8 @@ class InspectorWindow(QMainWindow):
             for canvas in (self.map, self.view):
                 canvas.show(layer.name, self._draws(layer))
         self._marks.follow_solo(self.layer_dock.solo is not None, (self.docks.cleaning.polygon,))
-        if self.model is not None and (seen := self._seen()) is not None:
-            self.model.set_seen(seen)
+        if self.model is not None and (mask := self._visible_mask()) is not None:
+            self.model.set_seen(mask)
         self.render_views()
 
     def _pick(self, canvas: Canvas, pixel: tuple[int, int]) -> bool:

@@ -56,11 +56,11 @@ def restore_window(window: InspectorWindow, state: WindowState) -> None:
             dock.setGeometry(state.floating[dock.objectName()])
         if dock.objectName() in state.in_front:
             dock.raise_()
-    known = window.layer_dock.checked()
+    layer_names = window.layer_dock.checked()
     for name, visible in state.visible.items():
-        if name in known:
+        if name in layer_names:
             window.set_layer_visible(name, visible)
-    if state.solo in known:
+    if state.solo in layer_names:
         window.layer_dock.set_solo(state.solo)
     if state.is_editing and window.edit_button is not None:
         window.edit_button.setChecked(True)

@@ -1,4 +1,4 @@
-"""`Shown`: what Open3D's window or picture shows of a run, a plan or a model. Built once."""
+"""`Content`: what Open3D's window or picture shows of a run, a plan or a model. Built once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ POINTS = "Gaussians"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Shown:
+class Content:
     """What a window or a picture shows: the subject's layers, of which some are hidden at first,
     relative to `origin` (3,)."""
 
@@ -62,17 +62,17 @@ class Shown:
         return Cameras(names=camera.names, Ks=K, cam_from_world=camera.cam_from_world, sizes_wh=np.array([size_wh], np.int64))
 
 
-def load_shown(source: Path) -> Shown:
+def load_content(source: Path) -> Content:
     """Read a run, a training, a scene, a plan or a model alone; raises as `load_subject`."""
     subject = load_subject(source)
     splats = _seen_of(subject)
     layers = tuple(layer for layer in subject.layers if splats is None or layer.name not in (POINTS, SURROUNDINGS))
-    drawn = framing_positions(layers or subject.layers)
-    return Shown(
+    positions = framing_positions(layers or subject.layers)
+    return Content(
         subject=subject,
         layers=layers or subject.layers,
         hidden=hidden_at_first(subject.layers) | (frozenset() if layers else frozenset({POINTS})),
-        origin=(drawn.min(axis=0) + drawn.max(axis=0)) / 2,
+        origin=(positions.min(axis=0) + positions.max(axis=0)) / 2,
         lift=lift_of(splats, layers),
     )
 
