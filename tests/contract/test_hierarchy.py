@@ -21,7 +21,7 @@ from radiant_app.executors.ray_cluster import RayExecutor
 from radiant_app.files.system_file import even_system
 from radiant_app.run.dealing import Dealer
 from radiant_app.run.pooled import PooledPhotographs
-from radiant_app.run.refining import Refining, plan_rounds
+from radiant_app.run.refining import plan_rounds
 from radiant_app.workers.nodes import CUT_SCENE
 from radiant_app.workers.sources import sfm_record
 from radiant_core.aggregate.config import AggregateConfig, Refine, aggregate_preset
@@ -224,12 +224,12 @@ def runs(
         executor = RayExecutor(address=request.getfixturevalue("address"), log=folder / "ray.log", command=command)
     trees = [world.tree.map_ids(f"{name}/{{}}".format) for name, world in worlds.items()]
     executor.fold(Tree(id="all", tier="cloud", children=tuple(trees)), prepare, lambda event: None)
-    rounds = {name: plan_rounds(dealer, dealer.load_moves()) for name, dealer in dealers.items()}
+    rounds = {name: plan_rounds(dealer, lambda event: None) for name, dealer in dealers.items()}
     for number in range(max(map(len, rounds.values()))):
-        refining = {name: each[number] for name, each in rounds.items() if len(each) > number}
-        fold_round(refining, executor)
-        for name, one in refining.items():
-            dealers[name].refined = one.scene_folder
+        trees = {name: each[number] for name, each in rounds.items() if len(each) > number}
+        fold_round(dealers, trees, executor)
+        for name in trees:
+            dealers[name].refined = dealers[name].refined_by(number + 1)
     compared = dealers[COMPARED]
     save_plan(compared.run / "plan.json", compared.recipe.cloud_plan, compared.recipe.edge_plans)
     progress = SimpleNamespace(listen=lambda event: None, clock=time.monotonic, manifest=SimpleNamespace(access_log=[]))
@@ -237,16 +237,15 @@ def runs(
     return {name: dealer.scene_folder for name, dealer in dealers.items()}
 
 
-def fold_round(refining: dict[str, Refining], executor: Executor) -> None:
+def fold_round(dealers: dict[str, Dealer], trees: dict[str, Tree], executor: Executor) -> None:
     """A round of every world, all of them as one tree."""
-    found = {name: tree for name, one in refining.items() if (tree := one.tree) is not None}
-    nodes = {f"{name}/{node.id}": (refining[name], node) for name, tree in found.items() for node in tree}
+    nodes = {f"{name}/{node.id}": (dealers[name], node) for name, tree in trees.items() for node in tree}
 
     def prepare(node: Tree) -> NodeTask | None:
         return nodes[node.id][0].prepare(nodes[node.id][1]) if node.id in nodes else None
 
-    trees = tuple(tree.map_ids(f"{name}/{{}}".format) for name, tree in found.items())
-    executor.fold(Tree(id="all", tier="cloud", children=trees), prepare, lambda event: None)
+    children = tuple(tree.map_ids(f"{name}/{{}}".format) for name, tree in trees.items())
+    executor.fold(Tree(id="all", tier="cloud", children=children), prepare, lambda event: None)
 
 
 def run_of(scene_folder: Path) -> Path:
