@@ -39,10 +39,10 @@ MAX_COMPARISONS = 12
 FLIGHT_NAME, MAX_FLIGHT_GAUSSIANS = "scene.html", 500_000
 """The page of the model beside the report, and up to which size a run makes it: some 15 MB."""
 JPEG_QUALITY = 84
-NUM_SIDES, SIDE_WH = 24, (1080, 700)
-"""Pictures of the model at the head of a report, all around it, to be turned by hand."""
 OF_THE_MODEL = ("seams",)
 """Pictures that are too large as PNG."""
+NUM_SIDES, SIDE_WH = 24, (1080, 700)
+"""Pictures of the model at the head of a report, all around it, to be turned by hand."""
 NAMELESS = frozenset({"images", "image", "photos", "photographs", "pictures", "input", "dcim"})
 """Names of folders that say nothing of what is in them."""
 TIERS = ("device", "edge", "cloud", "owner")
