@@ -292,8 +292,8 @@ class Dealer:
     def refined_by(self, number: int) -> Path | None:
         """Where the scene lies after this round, or after the last one before it that made one;
         None where none did."""
-        made = (node for before in range(number, 0, -1) if self.is_done(node := refined_at("cloud", before)))
-        return next(((self.run / node / REFINED_SCENE).parent for node in made), None)
+        finished = (node for before in range(number, 0, -1) if self.is_done(node := refined_at("cloud", before)))
+        return next(((self.run / node / REFINED_SCENE).parent for node in finished), None)
 
     def _empty_inbox(self, folder: Path) -> None:
         for place in ("inbox", DELIVERIES):
