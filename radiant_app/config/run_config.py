@@ -311,7 +311,7 @@ class AggregateOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RefineOptions:
-    """How devices refine the scene: whatever of `Refine` is to differ from the preset of joining."""
+    """How devices refine the scene: what of `Refine` is to differ from the preset of joining."""
 
     settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, Refine), fixed=())] = field(default_factory=dict)
     """Field of `Refine` → its value."""

@@ -1,6 +1,8 @@
-"""`FarDevices`: photographs of devices that are machines of others, which their edges are asked about:
-how many each has, where they stand in cells, and what a scene is worth on those held out. Once per
-run."""
+"""`FarDevices`: photographs of devices that are machines of others. Once per run.
+
+Their edges are asked how many each device has, where they stand in cells, and what a scene is worth
+on those held out.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`OwnersMachines`: edges and devices that are machines of others do the work of a run. Once per run.
+"""`OwnersMachines`: machines of others do the work of a run. Once per run.
 
     count, raster   how many photographs each device has, and where they stand in cells
     region          each edge folds its devices and sends its model, by its own key

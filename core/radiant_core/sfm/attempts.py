@@ -2,9 +2,9 @@
 
 `SfmConfig.effort` auto leaves out what photographs that overlap well do not need. Where more than a
 tenth of them finds no place by it, COLMAP's own features and all candidates are tried in thorough/,
-with a database of its own, and what places more photographs is taken. Why photographs came to no model
-is said in one sentence, asked in this order: are they one picture, do they show anything, do they
-overlap, are they from more than one place.
+with a database of its own, and what places more photographs is taken. Why photographs came to
+no model is said in one sentence, asked in this order: are they one picture, do they show anything,
+do they overlap, are they from more than one place.
 """
 
 from __future__ import annotations
