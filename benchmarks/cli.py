@@ -16,7 +16,7 @@ from radiant_core.choices import CutBy
 BenchScene = Annotated[
     Path | None,
     typer.Option(
-        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; methods, paper: 'radiant sfm', a run."
+        help="sfm: scene with known cameras; job: photographs; train: photographs, a COLMAP project, a run; methods, paper: of sfm, a run."
     ),
 ]
 BenchPlot = Annotated[Path | None, typer.Option(help="train, methods: PNG of the curves.")]
@@ -71,8 +71,8 @@ def bench(
     placements: Annotated[int, typer.Option(min=1, max=100, help="methods: placements of the edges.")] = 1,
     cut_by: Annotated[CutBy, typer.Option(help="methods: what regions are cut by, as in a run.")] = "auto",
     max_gaussians: Annotated[int | None, typer.Option(min=1, help="methods: reduce every method's model to as many.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="methods, paper, train, kinds: folder of models; a later call resumes.")] = None,
-    baseline: Annotated[Path | None, typer.Option(help="sfm, plan, raster: earlier figures; exit code 1 where one is worse.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="methods, paper, train, kinds, job: folder of models; resumed.")] = None,
+    baseline: Annotated[Path | None, typer.Option(help="sfm, plan, raster, job: earlier figures; exit code 1 where one is worse.")] = None,
     bless: Annotated[bool, typer.Option("--bless", help="Write the figures into the baseline instead of comparing.")] = False,
 ) -> None:
     """Measure run time beside error (benchmarks/README.md).

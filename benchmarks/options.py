@@ -10,14 +10,14 @@ from typing import Literal, get_args
 from radiant_core.choices import CutBy, LpipsNetwork
 from radiant_core.errors import BadInput
 
-BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper", "together", "kinds"]
+BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper", "together", "kinds", "job"]
 HeldPart = Literal["interleaved", "line"]
 """interleaved: every eighth photograph; line: a whole line of the flight, the middle one first."""
 HoldOut = Literal["interleaved", "line", "both"]
 """both: models without the ones and models without the others, beside each other."""
 _ON_MODELS: tuple[BenchName, ...] = ("train", "methods", "paper")
 ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
-    "scene": ("sfm", *_ON_MODELS, "together"),
+    "scene": ("sfm", *_ON_MODELS, "together", "job"),
     "threads": ("raster",),
     "presets": ("train",),
     "budgets_s": ("train",),
@@ -39,8 +39,8 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "num_placements": ("methods",),
     "cut_by": ("methods",),
     "max_gaussians": ("methods",),
-    "out": (*_ON_MODELS, "together", "kinds"),
-    "baseline": ("sfm", "plan", "raster"),
+    "out": (*_ON_MODELS, "together", "kinds", "job"),
+    "baseline": ("sfm", "plan", "raster", "job"),
 }
 """Benchmarks by option; an option that is not here is accepted by all."""
 _FLAGS = {
@@ -129,8 +129,8 @@ class BenchOptions:
                 raise BadInput(f"--layout {OF_RUN} uses the plan and settings of the run: leave out {_flag(field.name)}.")
         if name in ("methods", "paper", "together") and (self.scene is None or self.out is None):
             raise BadInput(f"the benchmark {name} needs --scene, a run or a folder of 'radiant sfm', and --out, a folder for its models.")
-        if name == "kinds" and self.out is None:
-            raise BadInput("the benchmark kinds needs --out, a folder for its scenes, rows and tables.")
+        if name in ("kinds", "job") and self.out is None:
+            raise BadInput(f"the benchmark {name} needs --out, a folder for its {'scenes, rows and tables' if name == 'kinds' else 'run'}.")
         if self.bless and self.baseline is None:
             raise BadInput("--bless writes the figures into the file of --baseline: name it.")
 

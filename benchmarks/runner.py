@@ -64,6 +64,11 @@ def measure(name: BenchName, options: BenchOptions) -> Sequence[Metric]:
             return _measure_together(options)
         case "kinds":
             return _measure_kinds(options)
+        case "job":
+            from benchmarks.job import bench_job
+
+            assert options.out is not None, "checked with the options"
+            return bench_job(options.scene, options.out, options.quick)
 
 
 def _measure_training(options: BenchOptions) -> Sequence[Metric]:

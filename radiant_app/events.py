@@ -85,6 +85,14 @@ class MemoryPeaked:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CpuSpent:
+    """CPU seconds of all threads of the process of a stage, its start included."""
+
+    stage: str
+    seconds: Amount
+
+
+@dataclass(frozen=True, kw_only=True)
 class TimeLeft:
     """Time left of devices and edges after the node `after`; `correction`: over the plan's time."""
 
@@ -172,6 +180,7 @@ Event = (
     | StageProgress
     | StageDone
     | MemoryPeaked
+    | CpuSpent
     | TimeLeft
     | StageSkipped
     | Warned

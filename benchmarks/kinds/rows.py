@@ -26,6 +26,7 @@ HELPERS: Mapping[str, Mapping[str, Any]] = {
     "skipped images": {"skip_images": "none"},
     "few: left out at random": {"drop_gaussians": "none"},
     "few: more Gaussians": {"density.pixels_per_splat": PIXELS_PER_SPLAT},
+    "thinned after growth": {"density.thin_to": 1.0},
     "settling rates": {"settle_epochs": None},
     "small pictures first": {"start_scale": 1.0},
 }

@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from radiant_app.config.fields import config_fields, tables_of
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
+from radiant_app.events import UPLINK, CpuSpent, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
 from radiant_app.files.out_folder import require_folder_for
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, StageFailed, StoreDamaged
@@ -45,7 +45,7 @@ OPTIONS = {"source": "source", "preset": "--train-preset", "time_s": "--time", "
 """Setting of `radiant train` and `sfm` → its option, where `config_fields` does not say."""
 UNRECORDED = ("out", "execution", "evaluate")
 """What may differ when a run is resumed: its place, its execution, and the scoring in the end."""
-RECORDED = ("config", "status", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings")
+RECORDED = ("config", "status", "stages", "emulated", "machines", "peak_bytes", "cpu_s", "decisions", "warnings")
 
 
 @dataclass
@@ -63,6 +63,8 @@ class Manifest:
     """Stage → the machine of a cluster that ran it last."""
     peak_bytes: dict[str, int] = field(default_factory=dict)
     """Stage → the most memory its process held, with its libraries."""
+    cpu_s: dict[str, float] = field(default_factory=dict)
+    """Stage → CPU seconds of its process."""
     decisions: list[dict[str, Any]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     access_log: list[dict[str, Any]] = field(default_factory=list)
@@ -79,6 +81,8 @@ class Manifest:
             self.save()
         elif isinstance(event, MemoryPeaked):
             self.peak_bytes[event.stage] = event.peak_bytes
+        elif isinstance(event, CpuSpent):
+            self.cpu_s[event.stage] = event.seconds
         elif isinstance(event, StageSkipped):
             self._times(event).setdefault(event.stage, {"started_s": now_s, "ended_s": now_s})
         elif isinstance(event, Decided):
@@ -105,6 +109,7 @@ class Manifest:
                 self.drop_notes(stage)
                 del times[stage]
                 self.peak_bytes.pop(stage, None)
+                self.cpu_s.pop(stage, None)
 
     @property
     def ended_s(self) -> float:
@@ -303,6 +308,7 @@ class _Record(BaseModel):
     emulated: dict[str, dict[str, float]] = {}
     machines: dict[str, str] = {}
     peak_bytes: dict[str, int] = {}
+    cpu_s: dict[str, float] = {}
     decisions: list[dict[str, Any]]
     warnings: list[str]
 

@@ -194,11 +194,11 @@ def _write_metrics(config: RunConfig, manifest: Manifest, recipe: Recipe, more: 
     num_cameras, num_devices = sum(len(plan.camera_indices) for plan in edge_plans), len(recipe.system.devices)
     law = refining_law_of(recipe.train, recipe.aggregate, num_cameras, num_devices, fixed=config.train.step_policy == "fixed")
     prediction = prediction_of(run, manifest, edge_plans, law if config.frames == "shared" else None)
-    peaks = {**manifest.peak_bytes, "run": peak_bytes()}
+    costs = {"peak_bytes": {**manifest.peak_bytes, "run": peak_bytes()}, "cpu_s": {**manifest.cpu_s, "run": time.process_time()}}
     promises = promises_of(config, pooled=result.get("pooled", True))
     if (survey := survey_of_run(run)) is not None:
         more = {SURVEY: survey, **more}
     more = {**placing_of_run(run), **more}
-    metrics = {**result, "seconds": seconds, "peak_bytes": peaks, **planned, "prediction": prediction, "promises": promises, **more}
+    metrics = {**result, "seconds": seconds, **costs, **planned, "prediction": prediction, "promises": promises, **more}
     write_json(run / "metrics.json", metrics)
     return metrics

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from radiant_app.events import Event, Failed, Heartbeat, MemoryPeaked, encode
+from radiant_app.events import CpuSpent, Event, Failed, Heartbeat, MemoryPeaked, encode
 from radiant_app.workers.memory import OUT_OF_MEMORY, is_out_of_memory, peak_bytes
 from radiant_app.workers.redaction import make_redactor
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
@@ -58,6 +58,7 @@ def main(arguments: list[str], work: Work | None = None) -> int:
 
         outputs = run_node(kind, Path(folder), stage, emit, work)
         emit(MemoryPeaked(stage=stage, peak_bytes=peak_bytes()))
+        emit(CpuSpent(stage=stage, seconds=time.process_time()))
         seal(Path(folder), key, outputs)
     except RadiantError as error:
         return fail(error.exit_code, str(error), cannot_write=isinstance(error, CannotWrite))

@@ -95,7 +95,9 @@ def test_the_folder_holds_model_figures_pictures_and_what_was_decided(
     manifest = read_json(request.out / "manifest.json")
     assert manifest["status"] == "done" and manifest["config"]["overrides"]["num_steps"] == QUICK.num_steps
     assert {d["topic"] for d in manifest["decisions"]} >= {"num_steps", "long_side_px", "sky", "fill-in points"}
-    assert {"train", "evaluation"} <= manifest["stages"].keys() and metrics["peak_bytes"]["train"] > 10**8
+    assert (
+        {"train", "evaluation"} <= manifest["stages"].keys() and metrics["peak_bytes"]["train"] > 10**8 and metrics["cpu_s"]["train"] > 0.1
+    )
     assert metrics["training"]["num_photographs"] == len(names) - len(held_out)
     assert any(isinstance(event, StageProgress) and event.stage == "train" for event in events)
     assert not (request.out / "checkpoints").exists()

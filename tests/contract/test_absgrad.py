@@ -1,4 +1,5 @@
-"""absgrad: Σ_p |∂loss_p/∂means2d| against a float64 backward pass for each pixel, and that asking for it changes nothing else."""
+"""absgrad: Σ_p |∂loss_p/∂means2d| against a float64 backward pass for each pixel, and that asking for it changes nothing else; weights:
+the pixels that each Gaussian makes."""
 
 from __future__ import annotations
 
@@ -208,3 +209,35 @@ def test_a_camera_more_changes_nothing_for_the_first() -> None:
     for rendered in (both, first):
         rendered.output.images.square().sum().backward()
     assert torch.equal(absgrad_of(both)[0], absgrad_of(first)[0])
+
+
+@on_every_backend
+def test_weights_are_the_pixels_that_each_gaussian_makes(backend: str) -> None:
+    splats, cameras = gaussians.regular(2000, seed=5), gaussians.off_centre_cameras(128, 96, count=2, focal_px=110)
+    exact, got = (render(splats, cameras, name, weights=True) for name in ("oracle", backend))
+    random_loss(got.output, ("images",)).backward()
+    assert exact.output.weights is not None and got.output.weights is not None and got.output.absgrad is None
+    weights = got.output.weights.cpu().double()
+    # Together they make what the picture shows, whatever the loss was.
+    torch.testing.assert_close(weights.sum(1), got.output.alphas.double().sum((1, 2)), rtol=1e-5, atol=0)
+    # One pixel in 70 has a Gaussian within rounding of α_min, which counts 1/255 of a pixel.
+    errors = (weights - exact.output.weights).abs() - 1e-4 * exact.output.weights
+    assert errors.max() < 0.02 and (errors < 1e-4).double().mean() > 0.95
+
+
+@on_every_native_build
+def test_weights_are_of_the_picture_alone_not_of_the_loss(backend: str) -> None:
+    drawn = [render(SPLATS, CAMERAS, backend, weights=True, absgrad=absgrad) for absgrad in (False, True)]
+    for factor, rendered in zip((1.0, -3.0), drawn, strict=True):
+        (factor * rendered.output.images.sum()).backward()
+    assert drawn[0].output.weights is not None and drawn[1].output.weights is not None
+    assert torch.equal(drawn[0].output.weights, drawn[1].output.weights) and drawn[0].output.weights.sum() > 10
+
+
+@on_every_backend
+def test_one_gaussian_alone_makes_what_alpha_shows(backend: str) -> None:
+    rendered = render(large(1, seed=2), CAMERAS, backend, weights=True)
+    rendered.output.images.sum().backward()
+    assert rendered.output.weights is not None
+    weights, alphas = rendered.output.weights.cpu()[:, 0].double(), rendered.output.alphas.sum((1, 2)).double()
+    torch.testing.assert_close(weights, alphas, rtol=1e-5, atol=1e-6)

@@ -24,6 +24,7 @@ import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from radiant_app.events import (
+    CpuSpent,
     Decided,
     Event,
     Failed,
@@ -180,6 +181,7 @@ def _events(_: Path) -> Kind:
         StageStarted(stage="devices/d", machine="x"),
         StageDone(stage="devices/d", seconds=1.5, emulated=True),
         MemoryPeaked(stage="devices/d", peak_bytes=10),
+        CpuSpent(stage="devices/d", seconds=2.5),
         StageSkipped(stage="devices/d"),
         Failed(stage="devices/d", message="m", exit_code=2),
         Heartbeat(stage="devices/d"),

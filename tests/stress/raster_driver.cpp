@@ -57,16 +57,17 @@ bool run(const radiant::Kernels& kernels, const radiant::View& view, const Model
   const std::size_t count = m.logit_opacities.size(), pixels = static_cast<std::size_t>(view.width) * static_cast<std::size_t>(view.height);
   const radiant::SplatArrays splats{static_cast<std::int64_t>(count), num_rest, m.means.data(), m.quats.data(), m.log_scales.data(),
                                     m.logit_opacities.data(), m.sh0.data(), m.shN.data()};
-  Floats images(3 * pixels), alphas(pixels), depths(pixels), means2d(2 * count), radii(count), ones(3 * pixels, 1.0f), moved(2 * count), absgrad(2 * count);
+  Floats images(3 * pixels), alphas(pixels), depths(pixels), means2d(2 * count), radii(count), ones(3 * pixels, 1.0f), moved(2 * count), absgrad(2 * count), weights(count);
   std::vector<radiant::Moments> sums(count);
   radiant::RenderedView rendered;
   rendered.forward(kernels, view, splats, {images.data(), alphas.data(), depths.data(), means2d.data(), radii.data()}, true, threads);
-  for (float* absolute : {static_cast<float*>(nullptr), absgrad.data()})
-    rendered.blend_backward({ones.data(), ones.data(), ones.data(), alphas.data(), depths.data()}, moved.data(), sums.data(), absolute, threads);
+  for (const bool absolute : {false, true})
+    rendered.blend_backward({ones.data(), ones.data(), ones.data(), alphas.data(), depths.data()}, moved.data(), sums.data(),
+                            absolute ? absgrad.data() : nullptr, absolute ? weights.data() : nullptr, threads);
   Floats g[6] = {Floats(m.means.size()), Floats(m.quats.size()), Floats(m.log_scales.size()), Floats(count), Floats(m.sh0.size()), Floats(m.shN.size())};
   for (const bool add : {false, true})
     rendered.project_backward(splats, moved.data(), sums.data(), {g[0].data(), g[1].data(), g[2].data(), g[3].data(), g[4].data(), g[5].data(), add}, threads);
-  bool finite = all_finite(images) && all_finite(alphas) && all_finite(depths) && all_finite(radii) && all_finite(absgrad);
+  bool finite = all_finite(images) && all_finite(alphas) && all_finite(depths) && all_finite(radii) && all_finite(absgrad) && all_finite(weights);
   for (const Floats& gradient : g) finite = finite && all_finite(gradient);
   return finite;
 }

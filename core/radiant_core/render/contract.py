@@ -86,6 +86,9 @@ class RenderOutput:
     """(C,N,2) Σ over pixels p of `|∂loss_p/∂means2d|`, where requested: the loss by way of p, so
     that nothing cancels (AbsGS, Ye 2024). Zeros until a backward pass through the pictures, which
     overwrites it before the gradient of `means2d` comes to its hooks."""
+    weights: Tensor | None = None
+    """(C,N) Σ over pixels of w = T α, how many pixels a Gaussian makes, where requested and
+    something has a gradient; there when the gradient of `means2d` comes to its hooks."""
 
     @property
     def visible(self) -> Tensor:
@@ -107,3 +110,4 @@ class ViewOptions:
     antialiased: bool
     background: Tensor
     absgrad: bool = False
+    weights: bool = False

@@ -82,7 +82,37 @@ def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: V
         radii_px=meta["radii"].to(means.dtype).amax(-1),
         means2d=meta["means2d"],
         absgrad=_take_absgrad(meta["means2d"]) if view.absgrad else None,
+        weights=_weights(splats, viewmats, Ks, view) if view.weights else None,
     )
+
+
+@torch.enable_grad()
+def _weights(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> Tensor:
+    """`RenderOutput.weights` (C,N): gradients of a rendering's sum by a colour that all share."""
+    from gsplat import rasterization  # pyright: ignore[reportMissingImports]
+
+    means = splats.means.detach()
+    sums: list[Tensor] = []
+    for viewmat, K in zip(viewmats.to(means), Ks.to(means), strict=True):
+        white = torch.ones(len(means), 3, device=means.device, requires_grad=True)
+        pictures, _, _ = rasterization(
+            means=means,
+            quats=splats.quats.detach(),
+            scales=splats.log_scales.detach().exp(),
+            opacities=splats.logit_opacities.detach().sigmoid(),
+            colors=white,
+            viewmats=viewmat[None],
+            Ks=K[None],
+            width=view.width,
+            height=view.height,
+            near_plane=view.near_m,
+            far_plane=view.far_m,
+            eps2d=DILATION_PX2,
+            rasterize_mode="antialiased" if view.antialiased else "classic",
+            packed=False,
+        )
+        sums.append(torch.autograd.grad(pictures[..., 0].sum(), white)[0][:, 0])
+    return torch.stack(sums)
 
 
 def _take_absgrad(means2d: Tensor) -> Tensor:

@@ -88,6 +88,7 @@ class _Call:
     depths: Tensor
     radii_px: Tensor
     absgrad: Tensor | None
+    weights: Tensor | None
 
 
 def rasterize_native(
@@ -112,11 +113,20 @@ def rasterize_native(
         alphas=_take_pooled(*shape),
         depths=_take_pooled(*shape),
         radii_px=_take_pooled(cameras, count),
-        absgrad=torch.zeros(cameras, count, 2) if view.absgrad else None,
+        absgrad=torch.zeros(cameras, count, 2) if view.absgrad or view.weights else None,
+        weights=torch.zeros(cameras, count) if view.absgrad or view.weights else None,
     )
     means2d, link = _Project.apply(call, *splats.tensors().values())
     images, alphas, depths = _Blend.apply(call, means2d, link, view.background)
-    return RenderOutput(images=images, alphas=alphas, depths=depths, radii_px=call.radii_px, means2d=means2d, absgrad=call.absgrad)
+    return RenderOutput(
+        images=images,
+        alphas=alphas,
+        depths=depths,
+        radii_px=call.radii_px,
+        means2d=means2d,
+        absgrad=call.absgrad if view.absgrad else None,
+        weights=call.weights if view.weights else None,
+    )
 
 
 def count_pairs(splats: SplatTensors, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> int:
@@ -196,7 +206,8 @@ class _Blend(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, call: _Call, means2d: Tensor, link: Tensor, background: Tensor) -> tuple[Tensor, ...]:
-        ctx.rendering, ctx.shape, ctx.background_like, ctx.absgrad = call.rendering, means2d.shape, background, call.absgrad
+        ctx.rendering, ctx.shape, ctx.background_like = call.rendering, means2d.shape, background
+        ctx.on_request = call.absgrad, call.weights
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(call.alphas, call.depths)
         return call.images, call.alphas, call.depths
@@ -209,7 +220,7 @@ class _Blend(torch.autograd.Function):
         means2d = sums = None
         if ctx.needs_input_grad[1]:
             means2d, sums = _take_pooled(*ctx.shape), _take_pooled(*ctx.shape[:2], _native.NUM_MOMENTS)
-            _blend_backward(ctx.rendering, by_images, (alphas, depths), (out_alphas, out_depths), (means2d, sums, ctx.absgrad))
+            _blend_backward(ctx.rendering, by_images, (alphas, depths), (out_alphas, out_depths), (means2d, sums, *ctx.on_request))
         background = None
         if ctx.needs_input_grad[3]:
             background = ((1 - out_alphas)[..., None] * by_images).sum((0, 1, 2)).to(ctx.background_like.dtype)
@@ -221,16 +232,17 @@ def _blend_backward(
     images: Tensor,
     alphas_depths: tuple[Tensor | None, Tensor | None],
     outputs: tuple[Tensor, Tensor],
-    into: tuple[Tensor, Tensor, Tensor | None],
+    into: tuple[Tensor, Tensor, Tensor | None, Tensor | None],
 ) -> None:
-    """∂loss/∂means2d (C,N,2), sums (C,N,M), absgrad (C,N,2) `into` three tensors from gradients of
-    the pictures; `outputs`: the alphas and depths that were rendered."""
+    """∂loss/∂means2d (C,N,2), sums (C,N,M), absgrad (C,N,2) and weights (C,N) `into` four tensors
+    from gradients of the pictures; `outputs`: the alphas and depths that were rendered."""
     by_alphas, by_depths = (None if part is None else part.contiguous() for part in alphas_depths)
-    means2d, sums, absgrad = into
+    means2d, sums, absgrad, weights = into
     for index, native in enumerate(rendering.views):
-        alphas, depths, absolute = (None if part is None else part[index].numpy() for part in (by_alphas, by_depths, absgrad))
+        of_view = [None if part is None else part[index].numpy() for part in (by_alphas, by_depths, absgrad, weights)]
+        alphas, depths, absolute, weight_sums = of_view
         out_alphas, out_depths = (output[index].numpy() for output in outputs)
         native.blend_backward(
             images[index].numpy(), alphas, depths, out_alphas, out_depths, means2d[index].numpy(), sums[index].numpy(), absolute,
-            rendering.threads,
+            weight_sums, rendering.threads,
         )  # fmt: skip

@@ -34,6 +34,7 @@ def rasterize(
     far_m: float = 1e10,
     antialiased: bool | None = None,
     absgrad: bool = False,
+    weights: bool = False,
     backend: Backend = "auto",
 ) -> RenderOutput:
     """Render C cameras: viewmats (C,4,4) cam_from_world in metres, Ks (C,3,3) px, background (3).
@@ -41,8 +42,9 @@ def rasterize(
     Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree;
     antialiased, by default as the model says, scales opacities by √(det Σ / det Σ'), Σ before and
     Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting, Yu 2024). absgrad
-    asks for `RenderOutput.absgrad`. Tensors and pictures are of one floating type, viewmats and Ks
-    may be of a finer one; cameras and background may lie on another device than the splats.
+    and weights ask for those of `RenderOutput`. Tensors and pictures are of one floating type,
+    viewmats and Ks may be of a finer one; cameras and background may lie on another device than the
+    splats.
 
     Raises BadInput naming tensor, count and first index of values that are not finite, and for a
     wrong shape or type, no camera, one that is not rigid or no pinhole, pictures without pixels or
@@ -58,6 +60,7 @@ def rasterize(
         far_m=min(far_m, MAX_FAR_M),
         antialiased=splats.antialiased if antialiased is None else antialiased,
         absgrad=absgrad,
+        weights=weights,
         background=torch.zeros(3, device=splats.means.device) if background is None else background.to(splats.means.device),
     )
     _check(splats, viewmats, Ks, view)

@@ -57,9 +57,17 @@ def rasterize_reference(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view
         )
         for index, projection in enumerate(projections)
     ]
-    images, alphas, depths = (torch.stack(parts) for parts in zip(*pictures, strict=True))
+    images, alphas, depths, weights = (torch.stack(parts) for parts in zip(*pictures, strict=True))
     radii_px = torch.stack([torch.where(p.visible, p.extents.amax(-1), 0).detach() for p in projections])
-    return RenderOutput(images=images, alphas=alphas, depths=depths, radii_px=radii_px, means2d=means2d, absgrad=absgrad)
+    return RenderOutput(
+        images=images,
+        alphas=alphas,
+        depths=depths,
+        radii_px=radii_px,
+        means2d=means2d,
+        absgrad=absgrad,
+        weights=weights if view.weights else None,
+    )
 
 
 class _WithAbsolute(torch.autograd.Function):
@@ -93,16 +101,21 @@ class _Watched(torch.autograd.Function):
         return log_alphas, (log_alphas[..., None] * slopes).abs().sum(2), None
 
 
-def _shade(splats: SplatTensors, viewmat: Tensor, projection: _Projection, view: ViewOptions) -> tuple[Tensor, Tensor, Tensor]:
-    """Image (H,W,3), alpha (H,W) and expected depth (H,W) of one camera."""
+def _shade(splats: SplatTensors, viewmat: Tensor, projection: _Projection, view: ViewOptions) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Image (H,W,3), alpha (H,W) and expected depth (H,W) of one camera, and weights (N,), zeros
+    unless they are requested."""
     center = -viewmat[:3, :3].T @ viewmat[:3, 3]
     directions = torch.nn.functional.normalize(splats.means - center, dim=-1)
     colors = colors_from_sh(directions, splats.sh0, splats.shN, view.sh_degree)
-    features = torch.cat([colors, projection.depths[:, None], torch.ones_like(projection.depths)[:, None]], dim=1)
+    ones = torch.ones_like(projection.depths).detach().requires_grad_(view.weights)
+    features = torch.cat([colors, projection.depths[:, None], ones[:, None]], dim=1)
     blended = _blend(projection, features, view)
     alphas = blended[..., 4]
     images = blended[..., :3] + (1 - alphas)[..., None] * view.background.to(alphas)
-    return images, alphas, blended[..., 3] / alphas.clamp_min(1e-10)
+    weights = torch.zeros_like(ones)
+    if view.weights and alphas.requires_grad:
+        (weights,) = torch.autograd.grad(alphas.sum(), ones, retain_graph=True)
+    return images, alphas, blended[..., 3] / alphas.clamp_min(1e-10), weights.detach()
 
 
 def _project(splats: SplatTensors, viewmat: Tensor, K: Tensor, view: ViewOptions) -> _Projection:

@@ -186,7 +186,7 @@ _SHORT = TrainConfig(
     initial_opacity=0.5,
     initial_thickness=0.15,
     drop_gaussians="auto",
-    density=Adc(kind="planned", reset_opacity_every=NEVER, min_opacity=0.1),
+    density=Adc(kind="planned", reset_opacity_every=NEVER, min_opacity=0.1, thin_to=0.75),
     start_scale=0.5,
     skip_images="auto",
     light="auto",

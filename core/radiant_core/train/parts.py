@@ -2,8 +2,8 @@
 
 A training calls each hook of all its parts in turn, once per step unless stated otherwise:
 
-    before_render → wants_absgrad → render → loss → before_backward → backward → after_backward
-                  → Adam → hold → after_update → after_step
+    before_render → wants_absgrad, wants_weights → render → loss → before_backward → backward
+                  → after_backward → Adam → hold → after_update → after_step
 """
 
 from __future__ import annotations
@@ -40,6 +40,10 @@ class Part(Protocol):
 
     def wants_absgrad(self, moment: Moment) -> bool:
         """Whether the rendering of this step must have `RenderOutput.absgrad`."""
+        return False
+
+    def wants_weights(self, moment: Moment) -> bool:
+        """Whether the rendering of this step must have `RenderOutput.weights`."""
         return False
 
     def before_render(self, moment: Moment, splats: SplatTensors) -> SplatTensors:

@@ -358,7 +358,7 @@ def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConf
     if isinstance(density, Mcmc):
         parts.append(RelocatedDensity(density, config))
     elif not isinstance(density, NoDensification):
-        parts.append(AdaptiveDensity(density, config, extent, splats))
+        parts.append(AdaptiveDensity(density, config, extent, splats, len(views)))
     if options.frozen is not None:
         if not isinstance(density, NoDensification):
             raise BadInput(f"Gaussians are held while density.kind is {density.kind!r}, which moves rows: set density.kind to 'none'.")

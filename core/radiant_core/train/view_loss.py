@@ -69,6 +69,7 @@ class ViewLoss:
             sh_degree=sh_degree_at(moment, splats, config),
             background=_background(moment.step - 1, config),
             absgrad=any(part.wants_absgrad(moment) for part in parts),
+            weights=any(part.wants_weights(moment) for part in parts),
             backend=self._backend,
         )
         image = output.images.view(height, width, 3)

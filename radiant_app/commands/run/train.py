@@ -372,7 +372,8 @@ def _score_model(out: Path, models: tuple[Splats, PreparedTraining], cameras: Ca
 
 def _totals(manifest: Manifest, num_splats: int) -> dict[str, Any]:
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
-    return {"num_gaussians": num_splats, "seconds": seconds, "peak_bytes": {**manifest.peak_bytes, STAGE: peak_bytes()}}
+    costs = {"peak_bytes": {**manifest.peak_bytes, STAGE: peak_bytes()}, "cpu_s": {**manifest.cpu_s, STAGE: time.process_time()}}
+    return {"num_gaussians": num_splats, "seconds": seconds, **costs}
 
 
 def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Callable[[], float]) -> dict[str, Any]:

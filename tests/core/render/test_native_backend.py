@@ -28,6 +28,7 @@ class Drawn:
     """One view of 300 Gaussians with all arrays that the native calls want."""
 
     absgrad: np.ndarray | None = None
+    weights: np.ndarray | None = None
 
     def __init__(self, differentiable: bool, **changed: np.ndarray) -> None:
         self.splats = list(gaussians.regular(COUNT).arrays().values())
@@ -42,7 +43,7 @@ class Drawn:
 
     def blend_backward(self) -> None:
         image = np.ones((HEIGHT, WIDTH, 3), np.float32)
-        self.view.blend_backward(image, None, None, self.alphas, self.depths, self.means2d, self.sums, self.absgrad, 2)
+        self.view.blend_backward(image, None, None, self.alphas, self.depths, self.means2d, self.sums, self.absgrad, self.weights, 2)
 
     def project_backward(self, splats: list[np.ndarray]) -> None:
         gradients = [np.zeros_like(array) for array in splats]

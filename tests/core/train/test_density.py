@@ -120,6 +120,11 @@ class TestGrowing:
         clone, split, refused = select_growing(gradients, sizes, replace(RULES, max_num_splats=8))
         assert (np.flatnonzero(clone).tolist(), np.flatnonzero(split).tolist(), refused) == ([3], [1, 4], 1)
 
+    def test_ranks_say_who_gets_the_room_and_gradients_who_may_grow(self) -> None:
+        gradients, sums = np.array([3e-4, 9e-4, 1e-4, 5e-4]), np.array([9e-3, 1e-3, 5e-2, np.nan])
+        clone, split, refused = select_growing(gradients, np.full(4, np.log(SMALL)), replace(RULES, max_num_splats=5), sums)
+        assert (np.flatnonzero(clone).tolist(), split.any(), refused) == ([0], False, 2)
+
     @pytest.mark.parametrize("limit", [1, 5])
     def test_a_full_model_grows_by_nothing(self, limit: int) -> None:
         clone, split, refused = select_growing(np.ones(5), np.zeros(5), replace(RULES, max_num_splats=limit))
@@ -150,7 +155,7 @@ def moment(step: int, schedule_step: float) -> Moment:
 
 class TestSchedule:
     def policy(self, splats: SplatTensors, **fields) -> AdaptiveDensity:
-        return AdaptiveDensity(Adc(**fields), train_preset("paper"), EXTENT, splats)
+        return AdaptiveDensity(Adc(**fields), train_preset("paper"), EXTENT, splats, num_views=1)
 
     def test_the_paper_edits_after_step_500_every_100_until_15000_and_resets_every_3000(self, monkeypatch: pytest.MonkeyPatch) -> None:
         splats = SplatTensors.from_splats(ground_splats(5))
@@ -168,7 +173,7 @@ class TestSchedule:
     def test_milestones_of_standard_scale_with_the_run_the_interval_does_not(self, monkeypatch: pytest.MonkeyPatch) -> None:
         splats = SplatTensors.from_splats(ground_splats(5))
         config = replace(train_preset("standard"), num_steps=3_000)
-        policy = AdaptiveDensity(Adc(), config, EXTENT, splats)
+        policy = AdaptiveDensity(Adc(), config, EXTENT, splats, num_views=1)
         optimizer = SelectiveAdam({}, {})
         edits, resets = [], []
         monkeypatch.setattr(policy, "_edit", lambda moment, splats, optimizer: edits.append(moment.step) or splats)

@@ -98,7 +98,7 @@ def test_the_arrays_of_a_state_keep_their_names_so_that_older_checkpoints_are_re
         "splats": splats,
         # These Gaussians have no higher harmonics: nothing to optimise in shN.
         "adam": {"row_steps"} | {f"{name}.{moment}" for name in splats - {"shN"} for moment in ("first", "second")},
-        "density": {"sums", "seen", "radii_px", "num_first", "last_reset"},
+        "density": {"sums", "seen", "radii_px", "num_first", "last_reset", "thinning"},
         "best": splats,
     }
     assert set(state.arrays) == {"losses", *(f"{part}.{name}" for part, names in parts.items() for name in names)}

@@ -74,8 +74,9 @@ RADIANT_INLINE void sums_of_rows(const Part* rows, float* out) {
   _mm512_mask_storeu_ps(out, (1u << kRows) - 1, sums);
 #else
   typedef float Quad __attribute__((vector_size(16)));
-  alignas(16) Quad q[12];
-  for (int i = 0; i < 12; ++i) {
+  constexpr int kPadded = (kRows + 3) / 4 * 4;
+  alignas(16) Quad q[kPadded];
+  for (int i = 0; i < kPadded; ++i) {
     if (i >= kRows) q[i] = Quad{};
 #if defined(__AVX__)
     else q[i] = (Quad)_mm_add_ps(_mm256_castps256_ps128((__m256)rows[i].p[0]), _mm256_extractf128_ps((__m256)rows[i].p[0], 1));
@@ -83,8 +84,8 @@ RADIANT_INLINE void sums_of_rows(const Part* rows, float* out) {
     else q[i] = rows[i].p[0];
 #endif
   }
-  alignas(16) float sums[12];
-  for (int i = 0; i < 12; i += 4) {
+  alignas(16) float sums[kPadded];
+  for (int i = 0; i < kPadded; i += 4) {
     const Quad a = RADIANT_SHUFFLE(q[i], q[i + 1], 0, 4, 1, 5) + RADIANT_SHUFFLE(q[i], q[i + 1], 2, 6, 3, 7);
     const Quad b = RADIANT_SHUFFLE(q[i + 2], q[i + 3], 0, 4, 1, 5) + RADIANT_SHUFFLE(q[i + 2], q[i + 3], 2, 6, 3, 7);
     *reinterpret_cast<Quad*>(sums + i) = RADIANT_SHUFFLE(a, b, 0, 1, 4, 5) + RADIANT_SHUFFLE(a, b, 2, 3, 6, 7);

@@ -110,7 +110,7 @@ void forward(PyRenderedView& self, const std::string& instruction_set, const std
 
 void blend_backward(const PyRenderedView& self, const Floats& images, const std::optional<Floats>& alphas, const std::optional<Floats>& depths,
                     const Floats& out_alphas, const Floats& out_depths, const Output& means2d, const Output& sums,
-                    const std::optional<Output>& absgrad, int threads) {
+                    const std::optional<Output>& absgrad, const std::optional<Output>& weights, int threads) {
   self.check_differentiable();
   const std::int64_t pixels = static_cast<std::int64_t>(self.width) * self.height;
   const ImageGradients gradients{checked(images, 3 * pixels, "images"), checked(alphas, pixels, "alphas"),
@@ -119,8 +119,10 @@ void blend_backward(const PyRenderedView& self, const Floats& images, const std:
   float* to = checked(means2d, 2 * self.count, "means2d");
   auto* to_sums = reinterpret_cast<Moments*>(checked(sums, kMoments * self.count, "sums"));
   float* to_absgrad = checked(absgrad, 2 * self.count, "absgrad");
+  float* to_weights = checked(weights, self.count, "weights");
+  if (!to_absgrad != !to_weights) throw std::invalid_argument("absgrad and weights are both arrays or both None");
   nb::gil_scoped_release unlocked;
-  self.rendered.blend_backward(gradients, to, to_sums, to_absgrad, threads);
+  self.rendered.blend_backward(gradients, to, to_sums, to_absgrad, to_weights, threads);
 }
 
 void project_backward(const PyRenderedView& self, const std::vector<Floats>& splats, const Floats& means2d, const Floats& sums,
@@ -189,9 +191,10 @@ void bind_raster(nb::module_& module) {
            "Render into images (H,W,3), alphas (H,W), depths (H,W) m, means2d (N,2) px, radii_px (N). splats: means, quats, log_scales,\n"
            "logit_opacities, sh0, shN, float32; viewmat (4,4), K (3,3) float64. ValueError for a wrong size or instruction set.")
       .def("blend_backward", &blend_backward, "images"_a, "alphas"_a.none(), "depths"_a.none(), "out_alphas"_a, "out_depths"_a,
-           "means2d"_a.noconvert(), "sums"_a.noconvert(), "absgrad"_a.noconvert().none(), "threads"_a,
+           "means2d"_a.noconvert(), "sums"_a.noconvert(), "absgrad"_a.noconvert().none(), "weights"_a.noconvert().none(),
+           "threads"_a,
            "Gradients of images (H,W,3), alphas and depths (H,W) or None into means2d (N,2) and, for all else, sums (N,NUM_MOMENTS);\n"
-           "into absgrad (N,2), if it is not None, the sums over pixels of |gradient of means2d|.")
+           "into absgrad (N,2) and weights (N), if they are not None, the sums over pixels of |gradient of means2d| and of T α.")
       .def("project_backward", &project_backward, "splats"_a, "means2d"_a, "sums"_a, "gradients"_a.noconvert(), "add"_a, "threads"_a,
            "Gradients of the six tensors, from blend_backward's means2d and sums, into arrays or None; added or overwritten.")
       .def_prop_ro("num_instances", [](const PyRenderedView& self) { return self.rendered.num_instances(); }, "Pairs of Gaussian and 16 px tile.")

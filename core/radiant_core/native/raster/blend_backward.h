@@ -7,7 +7,8 @@
 // From back to front both recurrences only add small things to sums of small things: a Gaussian
 // behind an almost opaque one keeps all digits of its gradient, unlike "all minus what is in
 // front". The loop is over Gaussians, inside over their blocks: an instance's sums stay in
-// registers and are reduced once. On request, Σ|h u| and Σ|h (l₁₂ u + l₂₂ v)| give Σ|∂loss/∂m|.
+// registers and are reduced once. On request, Σ|h u| and Σ|h (l₁₂ u + l₂₂ v)| give Σ|∂loss/∂m|,
+// and Σ w the pixels that a Gaussian makes.
 #pragma once
 
 #include "raster/blend.h"
@@ -33,6 +34,14 @@ RADIANT_INLINE F read_block(const View& view, int left, int top, const float* pi
   return load(values);
 }
 
+// Which of the 16 pixels are in the picture.
+RADIANT_INLINE uint32_t pixels_inside(const View& view, int left, int top) {
+  const int rows = view.height - top < kBlockPx ? view.height - top : kBlockPx, columns = view.width - left < kBlockPx ? view.width - left : kBlockPx;
+  uint32_t inside = 0;
+  for (int row = 0; row < rows; ++row) inside |= ((1u << columns) - 1) << row * kBlockPx;
+  return inside;
+}
+
 // B behind everything is background·g − ∂loss/∂alpha, since alpha = 1 − T; depth = Σ w z / Σ w adds
 // (z − depth) / Σ w to c·g.
 RADIANT_INLINE void start_block(const View& view, int tile, int block, int64_t count, const BlendState& state, const ImageGradients& gradients,
@@ -53,7 +62,8 @@ RADIANT_INLINE void start_block(const View& view, int tile, int block, int64_t c
     b.picture_depth = read_block(view, left, top, gradients.out_depths, 1);
     b.depth = read_block(view, left, top, gradients.depths, 1) / max(read_block(view, left, top, gradients.out_alphas, 1), broadcast(1e-10f));
   }
-  b.final_transmittance = load(state.transmittance + place);
+  // Outside it nothing is shown: no weight.
+  b.final_transmittance = keep(mask_of(pixels_inside(view, left, top)), load(state.transmittance + place));
   b.next = b.end = 0;
   alignas(64) int32_t started[kLanes];
   for (int lane = 0; lane < kLanes; ++lane) {
@@ -84,7 +94,7 @@ static __attribute__((noinline)) void start_pixels(BlockState& b, int32_t entry)
 template <bool kDepth, bool kCapped, bool kAbsolute>
 RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t entry, BlockState* blocks, Moments* out,
                                      AbsoluteMoments* absolute) {
-  constexpr int kSums = kAbsolute ? kMoments + 2 : kMoments;
+  constexpr int kSums = kAbsolute ? kMoments + 3 : kMoments;
   Part sums[kSums];
   for (int i = 0; i < kSums; ++i) sums[i] = broadcast<1>(0.0f);
   for (; reached; reached &= reached - 1) {
@@ -118,6 +128,7 @@ RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t e
       if constexpr (kAbsolute) {
         sums[kMoments] += abs(hu);
         sums[kMoments + 1] += abs(fma(row.l12, hu, row.l22 * hv));
+        sums[kMoments + 2] += weight;
       }
     }
   }

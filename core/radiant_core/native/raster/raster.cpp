@@ -177,7 +177,8 @@ void RenderedView::blend_tile(std::int64_t tile, Worker& worker) {
   kernels_->blend(view_, static_cast<int>(tile), entries, start, count, blend_, scratch);
 }
 
-void RenderedView::blend_backward(const ImageGradients& gradients, float* means2d, Moments* sums, float* absgrad, int threads) const {
+void RenderedView::blend_backward(const ImageGradients& gradients, float* means2d, Moments* sums, float* absgrad, float* weights,
+                                  int threads) const {
   const auto instances = static_cast<std::size_t>(num_instances_);
   const PooledBlock memory(instances * (sizeof(Moments) + (absgrad ? sizeof(AbsoluteMoments) : 0)));
   auto* const moments = static_cast<Moments*>(memory.data());
@@ -189,7 +190,7 @@ void RenderedView::blend_backward(const ImageGradients& gradients, float* means2
   });
   parallel_for(threads, static_cast<std::int64_t>(num_chunks_), [&](std::int64_t chunk, int) {
     sum_chunk(static_cast<std::size_t>(chunk), moments, means2d, sums);
-    if (absolute) sum_absolute(static_cast<std::size_t>(chunk), absolute, absgrad);
+    if (absolute) sum_absolute(static_cast<std::size_t>(chunk), absolute, absgrad, weights);
   });
 }
 
@@ -219,14 +220,18 @@ void RenderedView::sum_chunk(std::size_t chunk, const Moments* moments, float* m
   }
 }
 
-void RenderedView::sum_absolute(std::size_t chunk, const AbsoluteMoments* moments, float* absgrad) const {
+void RenderedView::sum_absolute(std::size_t chunk, const AbsoluteMoments* moments, float* absgrad, float* weights) const {
   const AbsoluteMoments* instance = moments + chunks_[chunk].first_instance;
   for (std::int64_t g = chunk_begin(chunk); g < chunk_end(chunk); ++g) {
     AbsoluteMoments sum{};
-    for (std::uint32_t i = 0; i < num_tiles_.data()[g]; ++i, ++instance) sum.x += instance->x, sum.y += instance->y;
+    for (std::uint32_t i = 0; i < num_tiles_.data()[g]; ++i, ++instance) {
+      sum.x += instance->x, sum.y += instance->y;
+      sum.weight += instance->weight;
+    }
     // A Gaussian that is not drawn has no footprint to read.
     absgrad[2 * g] = num_tiles_.data()[g] ? footprints_.data()[g].l11 * sum.x / kHalfLog2e : 0;
     absgrad[2 * g + 1] = sum.y / kHalfLog2e;
+    weights[g] = sum.weight;
   }
 }
 

@@ -30,8 +30,9 @@ class RenderedView {
   void forward(const Kernels& kernels, const View& view, const SplatArrays& splats, const ViewOutputs& out, bool differentiable, int threads);
 
   // ∂loss/∂means2d (N,2) and, for all else, the sums over each Gaussian's pixels (N); `absgrad`
-  // (N,2) or null: sums of each pixel's |∂loss/∂means2d|. Passes of several threads may overlap.
-  void blend_backward(const ImageGradients& gradients, float* means2d, Moments* sums, float* absgrad, int threads) const;
+  // (N,2) or null: sums of each pixel's |∂loss/∂means2d|; with it `weights` (N): sums of w = T α.
+  // Passes of several threads may overlap.
+  void blend_backward(const ImageGradients& gradients, float* means2d, Moments* sums, float* absgrad, float* weights, int threads) const;
 
   // Gradients of the Gaussians, from what `blend_backward` gave.
   void project_backward(const SplatArrays& splats, const float* means2d, const Moments* sums, const SplatGradients& gradients,
@@ -62,7 +63,7 @@ class RenderedView {
   void blend_tile(std::int64_t tile, Worker& worker);
   void order_equal_depths(Entry* entries, std::size_t count) const;
   void sum_chunk(std::size_t chunk, const Moments* moments, float* means2d, Moments* sums) const;
-  void sum_absolute(std::size_t chunk, const AbsoluteMoments* moments, float* absgrad) const;
+  void sum_absolute(std::size_t chunk, const AbsoluteMoments* moments, float* absgrad, float* weights) const;
   Projection projection(const ViewOutputs& out) const;
   std::int64_t chunk_begin(std::size_t chunk) const { return static_cast<std::int64_t>(chunk) * chunk_size_; }
   std::int64_t chunk_end(std::size_t chunk) const;

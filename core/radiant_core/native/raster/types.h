@@ -99,9 +99,9 @@ struct Moments {
 };
 
 // Sums over the same pixels of |∂loss/∂m| by x and y, times k/l₁₁ and k, k = ½ log₂e: nothing
-// cancels in them (AbsGS, Ye 2024).
+// cancels in them (AbsGS, Ye 2024); and of w = T α.
 struct AbsoluteMoments {
-  float x, y;
+  float x, y, weight;
 };
 
 // What blending leaves behind for the way back, and the pictures it writes.

@@ -8,6 +8,8 @@
               and what is wider than a limit on screen
     reset:    opacity ← min(opacity, 0.01), its moments ← 0
 
+Planned growth has room for few: those whose gradients have the largest sum over the steps, so that
+error which several views agree on comes before as much in one view.
 Statistics once per step, an edit every `Adc.every` steps, O(N log N). `AdaptiveDensity` decides
 when; the edits are plain functions of arrays.
 """
@@ -30,6 +32,7 @@ from radiant_core.render.contract import RenderOutput, SplatTensors
 from radiant_core.splats import morton_order
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.policies import RESET_OPACITY, Adc, DensityCounts
+from radiant_core.train.densify.thinning import Thinning, rows_that_stay, squashed
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainResult
@@ -75,11 +78,12 @@ def density_edit(
     radii_px: NDArray[np.floating],
     rules: DensityRules,
     rng: np.random.Generator,
+    ranks: NDArray[np.floating] | None = None,
 ) -> DensityEdit:
     """Clone, split and prune the model (means, quats, log_scales, logit_opacities of N rows) by
-    mean gradients and radii (N,). The result is in Morton order; the most opaque Gaussian stays in
-    any case."""
-    clone, split, num_refused = select_growing(gradients, model["log_scales"].max(axis=1, initial=-np.inf), rules)
+    mean gradients and radii (N,); `ranks` (N,) as of `select_growing`. The result is in Morton
+    order; the most opaque Gaussian stays in any case."""
+    clone, split, num_refused = select_growing(gradients, model["log_scales"].max(axis=1, initial=-np.inf), rules, ranks)
     parents = np.flatnonzero(split)
     offsets = split_offsets(model["quats"][parents], model["log_scales"][parents], rng)
     rows = np.concatenate([np.flatnonzero(~split), np.flatnonzero(clone), np.repeat(parents, CHILDREN)])
@@ -110,18 +114,22 @@ def density_edit(
 
 
 def select_growing(
-    gradients: NDArray[np.floating], largest_log: NDArray[np.floating], rules: DensityRules
+    gradients: NDArray[np.floating],
+    largest_log: NDArray[np.floating],
+    rules: DensityRules,
+    ranks: NDArray[np.floating] | None = None,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
     """Masks (N,) of what is cloned and what is split, by mean gradient and logarithm of the longest
-    axis (N,), and how many are refused: where the limit leaves room for fewer, the strongest
-    gradients get it. NaN never grows."""
+    axis (N,), and how many are refused: where the limit leaves room for fewer, those of the highest
+    `ranks` (N,) get it, by default of the strongest gradients. NaN never grows."""
     wanted = np.flatnonzero(gradients >= rules.min_gradient)
     room = max(0, rules.max_num_splats - len(gradients))
-    strongest = wanted[np.argsort(-gradients[wanted], kind="stable")[:room]]
+    order = np.argsort(-(gradients if ranks is None else ranks)[wanted], kind="stable")
+    first = wanted[order[:room]]
     grows = np.zeros(len(gradients), dtype=bool)
-    grows[strongest] = True
+    grows[first] = True
     small = largest_log <= math.log(SPLIT_EXTENT * rules.extent)
-    return grows & small, grows & ~small, len(wanted) - len(strongest)
+    return grows & small, grows & ~small, len(wanted) - len(first)
 
 
 def split_offsets(quats: NDArray[np.float32], log_scales: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
@@ -156,9 +164,9 @@ def select_prunable(
 
 
 class DensityStatistics:
-    """What renderings say of N Gaussians: sums (N,) float32 of the lengths of their gradients,
-    view_counts (N,) int32 in how many, radii_px (N,) float32 the largest. numpy arrays on the CPU,
-    tensors elsewhere."""
+    """What renderings say of N Gaussians: sums (N,) float32 of the lengths of their gradients, or,
+    while thinning gathers, of what they show; view_counts (N,) int32 in how many, radii_px (N,)
+    float32 the largest. numpy arrays on the CPU, tensors elsewhere."""
 
     def __init__(self, count: int, device: torch.device) -> None:
         self.sums, self.radii_px = (_as_plain(torch.zeros(count, dtype=torch.float32, device=device)) for _ in range(2))
@@ -174,6 +182,13 @@ class DensityStatistics:
             # A step whose gradient is not finite is not taken nor counted in the statistics.
             _zero_not_finite(length)
             self.sums += length
+        self.view_counts += visible
+
+    def add_weights(self, visible: Any, weights: Tensor, gradient: Tensor) -> None:
+        """Add what a rendering of `RenderOutput.weights` (1,N) shows."""
+        shown = squashed(_as_plain(weights)[0])
+        _zero_not_finite(shown)
+        self.sums += shown
         self.view_counts += visible
 
     def add_rows(
@@ -199,13 +214,20 @@ class AdaptiveDensity(Part):
 
     name = "density"
 
-    def __init__(self, policy: Adc, config: TrainConfig, extent: float, splats: SplatTensors) -> None:
-        """`extent` in world units; `splats`: the model before the first step."""
+    def __init__(
+        self, policy: Adc, config: TrainConfig, extent: float, splats: SplatTensors, num_views: int, views_per_step: int = 1
+    ) -> None:
+        """`extent` in world units; `splats`: the model before the first step; `num_views` of an
+        epoch."""
         policy.require_resettable()
         self._policy, self._config, self._extent = policy, config, extent
         self._num_first = len(splats)
         self._last_reset = 0
         self._absolute = policy.gradient == "absolute"
+        self._views_per_step = views_per_step
+        self._thinning = Thinning(
+            share=policy.thin_to, until_step=policy.until_step, schedule_steps=config.schedule_steps, num_views=num_views
+        )
         self.counts = DensityCounts()
         self.statistics = DensityStatistics(len(splats), splats.means.device)
         """What was gathered since the last edit."""
@@ -214,13 +236,21 @@ class AdaptiveDensity(Part):
         """Whether `before_backward` will look at `RenderOutput.absgrad`."""
         return self._absolute and moment.schedule_step < self._policy.until_step
 
+    def wants_weights(self, moment: Moment) -> bool:
+        """Whether `before_backward` will look at `RenderOutput.weights`."""
+        return self._thinning.is_gathering
+
     def before_backward(self, moment: Moment, output: RenderOutput) -> None:
         """Add the gradients of a rendering of one camera to the statistics in its backward pass."""
         self.watch(moment, output, self.statistics)
 
     def watch(self, moment: Moment, output: RenderOutput, statistics: DensityStatistics) -> None:
         """The same, into `statistics` of as many rows."""
-        if moment.schedule_step >= self._policy.until_step or not output.means2d.requires_grad:
+        if not output.means2d.requires_grad:
+            return
+        if self._thinning.is_gathering and output.weights is not None:
+            output.means2d.register_hook(partial(statistics.add_weights, _as_plain(output.visible), output.weights))
+        if moment.schedule_step >= self._policy.until_step:
             return
         height, width = output.images.shape[1:3]
         if self.measures_radii:
@@ -236,11 +266,11 @@ class AdaptiveDensity(Part):
         return self._policy.prune_radius_px is not None
 
     def after_update(self, moment: Moment, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
-        """The model, cloned, split and pruned where an edit is due, its opacities reset
-        likewise."""
+        """The model, cloned, split and pruned where an edit is due, its opacities reset likewise;
+        after growth thinned."""
         policy, schedule_step = self._policy, moment.schedule_step
         if schedule_step >= policy.until_step:
-            return splats
+            return self._thin(moment, splats, optimizer)
         # `every` is not scaled: a mean over few steps is noise. With an edit at every 7th of 2,000
         # steps, 27,000 Gaussians of the town were 150,000 after 98 steps.
         if schedule_step > policy.from_step and moment.step % policy.every == 0 and len(splats):
@@ -251,13 +281,35 @@ class AdaptiveDensity(Part):
             self.counts += DensityCounts(num_resets=1)
         return splats
 
+    def _thin(self, moment: Moment, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
+        """The model, or at the end of a round of thinning its rows that stay. Rounds end where
+        edits are looked for, so that machines that train together know it beforehand."""
+        thinning = self._thinning
+        if thinning.begins(moment.schedule_step):
+            self.statistics = DensityStatistics(len(splats), splats.means.device)
+            return splats
+        if not thinning.is_gathering:
+            return splats
+        thinning.num_gathered += self._views_per_step
+        if moment.step % self._policy.every or not thinning.has_enough(moment.schedule_step) or not thinning.ends(moment.schedule_step):
+            return splats
+        stays = rows_that_stay(_to_numpy(self.statistics.sums), _to_numpy(self.statistics.view_counts), thinning.share_of_round)
+        rows = torch.from_numpy(stays).to(splats.means.device)
+        thinned = replace(splats, **{name: tensor.detach()[rows] for name, tensor in splats.tensors().items()})
+        optimizer.select_rows(thinned.tensors(), rows, torch.zeros(len(rows), dtype=torch.bool, device=rows.device))
+        self.counts += DensityCounts(num_thinned=len(splats) - len(rows))
+        self.statistics = DensityStatistics(len(thinned), splats.means.device)
+        return thinned
+
     def finish(self, result: TrainResult) -> TrainResult:
         """The result with the counts, without the Gaussians that no pixel shows."""
         return finish_density(result, self.counts)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Copies of the sums since the last edit, and what was at the start."""
-        since = {"num_first": np.array(self._num_first), "last_reset": np.array(self._last_reset)}
+        thinning = self._thinning
+        rounds = np.array([thinning.num_begun, thinning.num_ended, thinning.num_gathered])
+        since = {"num_first": np.array(self._num_first), "last_reset": np.array(self._last_reset), "thinning": rounds}
         return {**{name: _to_numpy(array).copy() for name, array in self._sums().items()}, **since}
 
     def state_numbers(self) -> dict[str, Any]:
@@ -268,6 +320,8 @@ class AdaptiveDensity(Part):
         """Go on from sums and counts of a run whose model is now `splats`."""
         self.counts = DensityCounts(**numbers)
         self._num_first, self._last_reset = int(arrays["num_first"]), int(arrays["last_reset"])
+        thinning = self._thinning
+        thinning.num_begun, thinning.num_ended, thinning.num_gathered = map(int, arrays.get("thinning", np.zeros(3)))
         self.statistics = DensityStatistics(len(splats), splats.means.device)
         for name, array in self._sums().items():
             array[:] = arrays[name] if isinstance(array, np.ndarray) else torch.from_numpy(arrays[name]).to(array.device)
@@ -297,8 +351,10 @@ class AdaptiveDensity(Part):
         tensors = {name: tensor.detach() for name, tensor in splats.tensors().items()}
         model = {name: tensors[name].cpu().numpy() for name in ("means", "quats", "log_scales", "logit_opacities")}
         gathered = self.statistics
-        gradients = _to_numpy(gathered.sums) / np.maximum(_to_numpy(gathered.view_counts), 1)
-        edit = density_edit(model, gradients, _to_numpy(gathered.radii_px), rules, np.random.default_rng((self._config.seed, moment.step)))
+        sums, rng = _to_numpy(gathered.sums), np.random.default_rng((self._config.seed, moment.step))
+        gradients = sums / np.maximum(_to_numpy(gathered.view_counts), 1)
+        ranks = sums if self._policy.kind == "planned" else None
+        edit = density_edit(model, gradients, _to_numpy(gathered.radii_px), rules, rng, ranks)
         self.counts += edit.counts
         device = splats.means.device
         rows, fresh = (torch.from_numpy(array).to(device) for array in (edit.rows, edit.fresh))

@@ -33,7 +33,7 @@ class Adc:
 
     kind: Literal["adc", "planned"] = "adc"
     """adc: up to `TrainConfig.max_num_splats` at once; planned: under a limit that grows to that
-    number evenly."""
+    number evenly, those first whose gradients have the largest sum over the views."""
     from_step: int = 500
     """Density control begins after this step."""
     until_step: int = 15_000
@@ -58,6 +58,9 @@ class Adc:
     """A Gaussian wider than this on screen is pruned after the first reset of opacities. The code
     of 3DGS passes 20 but clears the radii before it looks at them, so that nothing is pruned by
     this rule; None is what it does."""
+    thin_to: float = 1.0
+    """Share of the Gaussians that stays after growth: those go of which photographs show least, in
+    two rounds (`thinning.py`); 1: all."""
     pixels_per_splat: int | Literal["auto"] | None = "auto"
     """Training pixels for each Gaussian that planned growth may reach; auto: 40 for up to 36
     photographs or where Gaussians are left out at random, 80 from 72 on, between them as many
@@ -70,6 +73,8 @@ class Adc:
         require_at_least(self, 1, ("every", "reset_opacity_every"))
         _require_pixels(self.pixels_per_splat)
         require_positive_or_none(self, ("prune_radius_px",))
+        if not 0 < self.thin_to <= 1:
+            raise BadInput(f"thin_to is {self.thin_to}, expected more than 0 and at most 1.")
         if not 0 <= self.min_opacity < 1:
             raise BadInput(f"min_opacity is {self.min_opacity}, expected at least 0 and less than 1.")
 
@@ -135,6 +140,8 @@ class DensityCounts:
     """Times a Gaussian would have been cloned or split but for the limit of Gaussians."""
     num_resets: int = 0
     """Resets of all opacities."""
+    num_thinned: int = 0
+    """Left out after growth, since photographs show little of them (`thinning.py`)."""
     num_relocated: int = 0
     """Dead Gaussians moved onto live ones (`mcmc.py`)."""
 

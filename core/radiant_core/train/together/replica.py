@@ -149,7 +149,9 @@ class Replica(ModelFit):
         if isinstance(config.density, Mcmc):
             parts.append(RelocatedDensity(config.density, config))
         elif not isinstance(config.density, NoDensification):
-            parts.append(AdaptiveDensity(config.density, config, self._extent, self._splats))
+            group = self._group
+            density = AdaptiveDensity(config.density, config, self._extent, self._splats, group.num_photographs, group.views_per_step)
+            parts.append(density)
         return tuple(parts)
 
     @property
