@@ -98,7 +98,7 @@ def round_of(node_id: str) -> int:
 
 
 def tree_of_round(devices: Mapping[str, Sequence[str]], number: int) -> Tree:
-    """The nodes that refine the scene in round `number`: the devices of edges, these, the cloud."""
+    """The nodes that refine the scene in round `number`: devices by edge, edges and the cloud."""
 
     def node(tier: Tier, owner: str, children: tuple[Tree, ...] = ()) -> Tree:
         return Tree(id=refined_at(owner, number), tier=tier, children=children)
