@@ -18,16 +18,16 @@ import numpy as np
 
 from benchmarks.metric import Metric
 from benchmarks.simulate import fleet_of, simulate
+from benchmarks.splits import ALL_METHODS, AnyMethod, plan_by
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import track_items
-from radiant_core.choices import PlanMethod
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.regions.edge_sites import place_edges
-from radiant_core.plan.regions.region_plan import plan_regions
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import Device, Edge, System
 
 LayoutKind = Literal["uniform", "clustered", "lawnmower", "street"]
@@ -53,9 +53,9 @@ def bench_plan(quick: bool) -> list[Metric]:
         rng = np.random.default_rng(num_cameras + num_edges)
         positions = camera_layout(kind, num_cameras, rng)
         system = place_edges(unequal_system(num_edges, rng), positions, None, seed=0)
-        for method in get_args(PlanMethod):
+        for method in ALL_METHODS:
             key = f"plan.{num_cameras}x{num_edges}.{kind}.{method}"
-            metrics += _method_metrics(key, lambda p=positions, s=system, m=method: _plan(p, s, m))
+            metrics += _method_metrics(key, lambda p=positions, s=system, m=method: _existing(plan_by(m, p, s)))
     for num_cameras, num_edges, kind in track_items(_QUICK_SCALES if quick else _SCALES, "bench plan, scale"):
         metrics += _scale_metrics(num_cameras, num_edges, kind)
     return [*metrics, *drag_metrics(5 if quick else 40), *system_metrics()]
@@ -114,11 +114,13 @@ def _uplink_bytes_per_s(rng: np.random.Generator) -> float:
 def _plan(
     positions: FloatArray,
     system: System,
-    method: PlanMethod = "exact",
     start: CloudPlan | None = None,
     constraints: PlanConstraints | None = None,
 ) -> CloudPlan:
-    plan = plan_regions(positions, system, method=method, start=start, constraints=constraints)
+    return _existing(plan_regions(positions, system, start=start, constraints=constraints))
+
+
+def _existing(plan: CloudPlan | PlanInfeasible) -> CloudPlan:
     assert isinstance(plan, CloudPlan), "devices without a memory limit hold every plan"
     return plan
 
@@ -200,8 +202,9 @@ def system_metrics() -> list[Metric]:
         system = place_edges(load_system(folder / f"paper_{number}.toml"), positions, None, seed=0)
         num_devices = len(system.devices)
         quotas = {"even_per_device": np.bincount(np.arange(num_cameras) % num_devices)}
-        for method in ("exact", "paper"):
-            edges = split_edges(positions, _plan(positions, system, method), system)
+        methods: tuple[AnyMethod, ...] = ("exact", "paper")
+        for method in methods:
+            edges = split_edges(positions, _existing(plan_by(method, positions, system)), system)
             quotas[method] = np.concatenate([np.bincount(e.device_of_camera, minlength=len(e.device_ids)) for e in edges])
         for name, counts in quotas.items():
             seconds = simulate(fleet_of(system, counts)).makespan_s

@@ -19,6 +19,7 @@ from shapely import MultiPoint, Point
 
 from benchmarks.hold_out import mask_of, name_of
 from benchmarks.options import OF_RUN, HeldPart
+from benchmarks.splits import AnyMethod, plan_by
 from radiant_app.files.run_folder import read_manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.report.prediction_error import SYSTEM_NAME
@@ -26,7 +27,7 @@ from radiant_app.run.cutting import Planned, choose_cut, plan_places
 from radiant_app.workers.sources import captures_of, load_scored_scene, masks_folder_of
 from radiant_core import __version__
 from radiant_core.aggregate.config import aggregate_preset
-from radiant_core.choices import CutBy, PlanMethod, UploadFormat
+from radiant_core.choices import CutBy, UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.codec import load_task
 from radiant_core.hierarchy.device import device_model, fit_prepared, prepare_training
@@ -37,6 +38,7 @@ from radiant_core.io.records import load_plan, load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.light.captures import Captures
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import PlanInfeasible
@@ -221,17 +223,18 @@ class Cell:
         system = replace(self.recipe.system, edges=tuple(edges))
         return self.recipe.with_plan(*self._make_plan(system, "even"))
 
-    def planned(self, method: PlanMethod) -> Recipe:
+    def planned(self, method: AnyMethod) -> Recipe:
         """The same recipe by the plan of another method; BadInput where it leaves no plan."""
         return self.recipe.with_plan(*self._make_plan(self.recipe.system, method))
 
-    def _make_plan(self, system: System, method: PlanMethod) -> Planned:
+    def _make_plan(self, system: System, method: AnyMethod) -> Planned:
         """By the same places and edges as the cell's own plan."""
         plan = self.recipe.cloud_plan
-        planned = plan_places(plan.places_of(self.scene.training.cameras.centers[:, :2]), system, method)
+        places = plan.places_of(self.scene.training.cameras.centers[:, :2])
+        planned = plan_by(method, places, system)
         if isinstance(planned, PlanInfeasible):
             raise BadInput(f"{self.name}: {planned.reason}")
-        return replace(planned[0], looks=plan.looks), planned[1]
+        return replace(planned, looks=plan.looks), split_edges(places, planned, system)
 
     @cached_property
     def devices(self) -> dict[str, DeviceModel]:

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,10 +31,10 @@ from benchmarks.methods.cells import Cell
 from benchmarks.methods.emulated_latency import emulate_server, emulate_tree
 from benchmarks.paper.parts import Part
 from benchmarks.simulate import fleet_of, simulate
+from benchmarks.splits import ALL_METHODS, AnyMethod
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import track_items
 from radiant_core.aggregate.config import aggregate_preset
-from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.plan.profiles.cost_curves import CostCurve
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 SYSTEMS = {"paper_1": "System 1", "paper_2": "System 2"}
 """Names on the page by files of `benchmarks/systems`; a quick run has the first."""
-QUICK_PLANS: tuple[PlanMethod, ...] = ("exact", "even")
+QUICK_PLANS: tuple[AnyMethod, ...] = ("exact", "even")
 SERVER = "Fed3DGS"
 PHASES = ("devices train and send", "edges join and send", "the cloud joins", "refined and compared")
 
@@ -141,7 +141,7 @@ def latency_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 def plan_arms(quick: bool) -> list[Arm]:
     """Our joining by every plan, by the exact and the even one alone where `quick`."""
-    plans: Sequence[PlanMethod] = QUICK_PLANS if quick else get_args(PlanMethod)
+    plans = QUICK_PLANS if quick else ALL_METHODS
     return [Arm(name=f"{plan} plan", make=join, recipe=lambda cell, plan=plan: cell.planned(plan)) for plan in plans]
 
 

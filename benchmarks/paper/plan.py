@@ -18,8 +18,8 @@ from benchmarks.charts.line_chart import Line, Panel, line_picture
 from benchmarks.methods.arms import Arms
 from benchmarks.paper.parts import Part
 from benchmarks.plan import camera_layout, unequal_system
+from benchmarks.splits import compare_all
 from radiant_app.report.progress import track_items
-from radiant_core.plan.baselines import compare
 from radiant_core.plan.profiles.curve_fit import fit_curve
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_viewer.charts.partition_chart import Partition, partitions_picture
@@ -44,7 +44,7 @@ def plan_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     }
     positions = camera_layout("clustered", 200 if quick else 1600, np.random.default_rng(3))
     system = place_edges(unequal_system(6, np.random.default_rng(3)), positions, None, seed=0)
-    compared = compare(positions, system)
+    compared = compare_all(positions, system)
     histories = {row.method: list(row.history) for row in compared if row.method.startswith("paper") or row.method == "exact"}
     partitions = [
         Partition(name=row.method, edge_of_camera=row.edge_of_camera, edge_time_s=row.edge_time_s, note=f"{row.over_bound:.3g} × the bound")

@@ -21,8 +21,9 @@ from benchmarks.methods.arms import Arms
 from benchmarks.methods.cells import Cell
 from benchmarks.paper.latency import SYSTEMS, fitted_costs, measure_costs, system_cell
 from benchmarks.paper.parts import Part
+from benchmarks.splits import compare_all
 from radiant_app.report.progress import track_items
-from radiant_core.plan.baselines import ComparedPlan, compare
+from radiant_core.plan.baselines import ComparedPlan
 from radiant_core.plan.profiles.curve_fit import FittedCurve
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def systems_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     names = [*SYSTEMS][:1] if quick else [*SYSTEMS]
     fits = {name: measure_costs(arms, name, seeds[0]) for name in track_items(names, "bench paper, systems")}
     cells = {name: system_cell(arms, fitted_costs(curves), name, seeds[0]) for name, curves in fits.items()}
-    compared = {name: compare(_places(arms, cell), cell.recipe.system) for name, cell in cells.items()}
+    compared = {name: compare_all(_places(arms, cell), cell.recipe.system) for name, cell in cells.items()}
     detail = f"{arms.scene.name}, {arms.scene.long_side_px} px, preset draft of {arms.num_steps} steps"
     pictures = {
         "systems_costs.png": line_picture(_cost_panels(fits), "Cost of a device against its photographs", f"{detail}; a dot is a training"),

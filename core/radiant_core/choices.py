@@ -18,10 +18,9 @@ MaskIgnores = Literal["black", "white", "nothing"]
 """Which colour of a mask leaves pixels out; nothing: no mask is used."""
 Panoramas = Literal["all", "none"]
 """Which photographs are equirectangular panoramas, where their XMP does not say it rightly."""
-PlanMethod = Literal["exact", "paper", "paper-literal", "even", "voronoi", "kd"]
+PlanMethod = Literal["exact", "paper", "paper-literal", "even"]
 """exact: least makespan; paper: the paper's Alg. 1 on power cells; paper-literal: Alg. 1 as
-written, with half-planes; even: equal counts per device; voronoi: nearest edge; kd: halves of equal
-counts."""
+written, with half-planes; even: equal counts per device."""
 CutBy = Literal["auto", "positions", "looks"]
 """positions: regions and strips are cut where cameras stand; looks: where they look; auto: where
 they look if that makes strips hold clearly more of what their own devices see."""

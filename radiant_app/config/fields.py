@@ -2,8 +2,8 @@
 
     values of paths  ─config_of→  RunConfig  ─tables_of→  tables of a run file  ─values_of→  values
 
-Fields of `TrainConfig` and `AggregateConfig` belong to the sections train and aggregate, where they
-are settings beside a preset.
+Fields of `TrainConfig`, `AggregateConfig` and `Refine` belong to the sections train, aggregate and
+refine, where they are settings beside a preset.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from radiant_core.errors import BadInput
 
 PRESET = "preset"
 """Not a field of `RunConfig`: a name for the values of several."""
+NEW_PATHS = {"aggregate.refine_epochs": "refine.epochs", "aggregate.refine_rounds": "refine.rounds"}
+"""Earlier path of a field → where it is now."""
 _PRESET_HELP = (
     "paper: everything as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud "
     "retrain all parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. An option beside it wins."
@@ -237,6 +239,8 @@ def _unknown_key(path: str, value: Any, kind: str) -> str:
 def _instead(path: str, section: str = "", expected: str = "expected PATH=VALUE with") -> str:
     """What to write in place of an unknown path: the path of a bare or an option's name, that of
     one spelled alike, else what there is."""
+    if path in NEW_PATHS:
+        return f"it is {NEW_PATHS[path]} now."
     paths = [name for name in config_fields() if name.startswith(section)]
     if path in paths:
         return f"expected {path}=VALUE."

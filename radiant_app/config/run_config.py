@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args, get_type_hints
 
 from radiant_app.quantities import seconds_of
-from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
+from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, Refine, aggregate_preset
 from radiant_core.choices import (
     Contradictions,
     CutBy,
@@ -209,7 +209,7 @@ class PlanOptions:
 
     method: Annotated[PlanMethod, Option(name="--plan-method")] = "exact"
     """exact: least makespan; paper: Alg. 1 on power cells; paper-literal: Alg. 1 as written; even:
-    equal counts; voronoi: nearest edge; kd: halves of equal counts."""
+    equal counts."""
     file: Annotated[Path | None, Option(name="--plan")] = None
     """Plan that `radiant plan` made before capture; by default the photographs are planned."""
     cut_by: CutBy = "auto"
@@ -300,26 +300,22 @@ class TrainOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class AggregateOptions:
-    """How models are joined: a preset, and whatever of `AggregateConfig` is to differ from it.
-
-    Raises:
-        BadInput: no such preset, or a value that the setting cannot have.
-    """
+    """How models are joined: a preset, and whatever of `AggregateConfig` is to differ from it."""
 
     preset: Annotated[AggregatePreset, Option(name="--aggregate-preset")] = "default"
     """paper: retrain every parameter at the edges and the cloud."""
-    settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, AggregateConfig), fixed=("preset",))] = field(
+    settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, AggregateConfig), fixed=("preset", "refine"))] = field(
         default_factory=dict
     )
     """Field of `AggregateConfig` → its value."""
 
-    @property
-    def config(self) -> AggregateConfig:
-        """The preset with the settings."""
-        return replace(aggregate_preset(self.preset), **self.settings)
 
-    def __post_init__(self) -> None:
-        assert self.config
+@dataclass(frozen=True, kw_only=True)
+class RefineOptions:
+    """How devices refine the scene: what of `Refine` is to differ from the preset of joining."""
+
+    settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, Refine), fixed=())] = field(default_factory=dict)
+    """Field of `Refine` → its value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -396,6 +392,7 @@ class RunConfig:
     plan: PlanOptions = PlanOptions()
     train: TrainOptions = TrainOptions()
     aggregate: AggregateOptions = AggregateOptions()
+    refine: RefineOptions = RefineOptions()
     evaluate: EvaluateOptions = EvaluateOptions()
     execution: ExecutionOptions = ExecutionOptions()
 
@@ -410,6 +407,12 @@ class RunConfig:
         return self.emulate or self.system
 
     @property
+    def joining(self) -> AggregateConfig:
+        """How models are joined and the scene is refined: the preset with the settings."""
+        preset = aggregate_preset(self.aggregate.preset)
+        return replace(preset, **self.aggregate.settings, refine=replace(preset.refine, **self.refine.settings))
+
+    @property
     def cell_m(self) -> float | None:
         """Side of the raster's cells, None where the cloud may plan from positions."""
         if self.plan.raster_cell_m is not None:
@@ -421,6 +424,7 @@ class RunConfig:
         return DEFAULT_CELL_M
 
     def __post_init__(self) -> None:
+        assert self.joining
         if self.system is not None and self.emulate is not None:
             raise BadInput("--system and --emulate both name a system: keep one of them.")
         if isinstance(self.plan.devices, int) and (self.system_file is not None or self.execution.executor == "network"):

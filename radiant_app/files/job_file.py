@@ -5,7 +5,7 @@ A run file has the sections of `RunConfig`:
     source = "photos/harbour"
     out = "harbour_run"
     [plan]
-    method = "voronoi"
+    method = "even"
     [train]
     num_steps = 300
     sky = false                          # any field of TrainConfig

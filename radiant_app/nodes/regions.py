@@ -5,7 +5,7 @@
                     edges/<id>/          the edge's own join, as in a run on one machine
                     cloud/               the scene, where it is refined, as it came last
 
-The same `Dealer`, `Refining` and `Scoring` deal as in a run on one machine; the edge signs its
+The same `Dealer` and `Scoring` deal as in a run on one machine; the edge signs its
 devices' tasks by its own key, and nobody else's is here.
 """
 
@@ -44,8 +44,8 @@ from radiant_app.network.messages import (
     EdgeScoreTask,
     RegionTask,
 )
-from radiant_app.run.dealing import Dealer, deal_files
-from radiant_app.run.refining import Refining
+from radiant_app.run.dealing import Dealer, Refining, deal_files
+from radiant_app.run.refining import left_out_of
 from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.scoring import Scoring, ScoringMachine
 from radiant_app.run.stages import ATTEMPTS
@@ -57,7 +57,7 @@ from radiant_app.workers.rasters import Raster
 from radiant_app.workers.scores import read_scores
 from radiant_app.workers.tasks import CountTask, Move, OwnFieldTask, RasterTask
 from radiant_core import __version__
-from radiant_core.aggregate.tree import Tree, refines_for
+from radiant_core.aggregate.tree import Tree, refines_for, tree_of_round
 from radiant_core.choices import Version
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
@@ -76,7 +76,6 @@ from radiant_core.hierarchy.codec import (
 )
 from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.hierarchy.refining_plan import RefiningPlan
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import SEAL_NAME, content_key, is_sealed, read_json, write_json
@@ -320,19 +319,18 @@ class EdgeRun:
         name = self.edge.split("/")[1]
         dealer = self._dealer(self.region)
         self._exchange_keys()
-        planned = RefiningPlan(devices={name: devices})
-        refining = Refining(dealer=dealer, moves=moves, planned=planned, number=task.number, joined=task.joined)
-        assert refining.tree is not None
-        (tree,) = refining.tree.children
+        dealer.refining = Refining(run=self.folder, devices={name: devices}, moves=moves, joined=task.joined)
+        round_tree = tree_of_round(dealer.refining.devices, task.number)
+        (tree,) = round_tree.children
         times = read_json(self.folder / TIMES_NAME) if (self.folder / TIMES_NAME).is_file() else {}
-        expected = expected_times(refining, Manifest(folder=self.folder, config={}, stages=times))
+        expected = expected_times(dealer, round_tree, Manifest(folder=self.folder, config={}, stages=times))
         deadlines = RefiningDeadlines(expected_s=expected, deadline_factor=self.region.deadline_factor)
-        self._executor(deadlines).fold(tree, refining.prepare, self.emit)
-        left_out = refining.left_out_of(name)
+        self._executor(deadlines).fold(tree, dealer.prepare, self.emit)
+        left_out = left_out_of(dealer, tree)
         records: dict[str, dict[str, Any]] = {device: {} for device in devices if device not in left_out}
         result_folder = self.folder / tree.id
         names = [REFINED_NAME, ROWS_NAME, NOTES_NAME, REFUSED_NAME, RECORD_NAME, SIGNATURE_NAME]
-        files = {file: result_folder / file for file in names} if refining.is_done(tree.id) else {}
+        files = {file: result_folder / file for file in names} if dealer.is_done(tree.id) else {}
         return DevicesReport(found=records, missing=left_out), files
 
     def _score(self, task: EdgeScoreTask) -> DevicesReport:

@@ -20,7 +20,6 @@ from radiant_app.pace import clock_text
 from radiant_app.report.advice import what_to_try
 from radiant_app.report.gaps import gaps_of, notes_of
 from radiant_app.report.ground_control import survey_lines, survey_of_run, survey_rows
-from radiant_app.report.hero import NUM_SIDES, SIZE_WH
 from radiant_app.report.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_app.report.survey import Survey, survey_of
 from radiant_app.report.verdict import verdict_of
@@ -42,6 +41,8 @@ FLIGHT_NAME, MAX_FLIGHT_GAUSSIANS = "scene.html", 500_000
 JPEG_QUALITY = 84
 OF_THE_MODEL = ("seams",)
 """Pictures that are too large as PNG."""
+NUM_SIDES, SIDE_WH = 24, (1080, 700)
+"""Pictures of the model at the head of a report, all around it, to be turned by hand."""
 NAMELESS = frozenset({"images", "image", "photos", "photographs", "pictures", "input", "dcim"})
 """Names of folders that say nothing of what is in them."""
 TIERS = ("device", "edge", "cloud", "owner")
@@ -320,7 +321,7 @@ def _save_sides(run: Path, listen: Listener) -> list[str]:
     view = load_run_view(run)
     sides: list[str] = []
     _tell(listen, 1, 0, NUM_SIDES)
-    for image in turntable(require_splats(view), framed_box(view.scene, view.cloud_plan), NUM_SIDES, SIZE_WH):
+    for image in turntable(require_splats(view), framed_box(view.scene, view.cloud_plan), NUM_SIDES, SIDE_WH):
         if not sides:
             save_png(run / "pictures" / "model.png", image)
         sides.append(_jpeg(image))

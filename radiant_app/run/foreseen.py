@@ -156,13 +156,13 @@ def _work_s(config: RunConfig, work: _Work) -> tuple[float, float, float, float,
     training_s, joining_s, refining_s = LOAD_CPU_S + views * view_s / num_cores, START_CPU_S, 0.0
     if work.joins:
         trainings = trainings_of(train, work.num_photographs, len(work.counts))
-        aggregate = config.aggregate.config.joining_after(trainings)
+        aggregate = config.joining.joining_after(trainings)
         epochs = aggregate.at_edge.num_epochs + (aggregate.at_cloud.num_epochs if work.num_edges > 1 else 0)
         joining_s = START_CPU_S * (work.num_edges + 1) + epochs * work.num_photographs * view_s
-        if aggregate.refines:
-            steps = sum(refining_steps(aggregate.refining_epochs_after(trainings), count) for count in work.counts)
+        if aggregate.refine.is_asked_for:
+            steps = sum(refining_steps(aggregate.refine.epochs_after(trainings), count) for count in work.counts)
             nodes = len(work.counts) + work.num_edges + 1
-            refining_s = aggregate.rounds_after(trainings) * (START_CPU_S * nodes + STEP * steps * view_s)
+            refining_s = aggregate.refine.rounds_after(trainings) * (START_CPU_S * nodes + STEP * steps * view_s)
     scoring_s = START_CPU_S + SCORED_CPU_S * scale * work.num_held_out
     return training_s, joining_s / num_cores, refining_s / num_cores, scoring_s, REPORT_CPU_S
 

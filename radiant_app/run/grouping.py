@@ -67,7 +67,7 @@ def group_rules(
     )
     return GroupRules(
         law=law,
-        refining=refining_law_of(train, config.aggregate.config, num_photographs, num_devices, fixed=is_fixed),
+        refining=refining_law_of(train, config.joining, num_photographs, num_devices, fixed=is_fixed),
         within=config.plan.within_edge,
         between=config.plan.between_edges,
         obstacle=obstacle_of(config),

@@ -1,23 +1,23 @@
 """The main job, from photographs to one Gaussian model: connects the stages, computes nothing.
 
-    photographs ─ plan ─ Tree(cloud(edge(device …))) ─ score ─ report
+    photographs ─ plan ─ conduct ─ report
 
-`--frames` decides where structure from motion happens (`source.py`), and nothing else.
+`--frames` decides where structure from motion happens (`source.py`), the executor who works
+(`conducting.py`), and nothing else.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Listener, Outlined, Warned
 from radiant_app.executors.emulated import emulated_figures, require_emulable
-from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.fork_server import keep_servers
 from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.files.event_file import EventFile
@@ -26,38 +26,33 @@ from radiant_app.network.home import open_home, require_cloud
 from radiant_app.network.serving import require_network
 from radiant_app.report.ground_control import placing_of_run, survey_of_run
 from radiant_app.report.prediction_error import prediction_of
-from radiant_app.run.dealing import Dealer, deal_files
-from radiant_app.run.foreseen import foresee, foresee_planned, slowdown
-from radiant_app.run.groups import end_groups, prepare_meetings, tell_parents, with_groups
+from radiant_app.run.conducting import conduct
+from radiant_app.run.dealing import deal_files
+from radiant_app.run.far_devices import FarDevices
+from radiant_app.run.foreseen import foresee, slowdown
+from radiant_app.run.here import Here
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.run.predictions import refining_law_of
 from radiant_app.run.progress import Progress
 from radiant_app.run.promises import promises_of
-from radiant_app.run.reassignment import Reassignment, load_replan, plan_key
-from radiant_app.run.refining import Refining, expected_refines, fold_rounds, left_out, partly_left_out, plan_rounds
-from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
-from radiant_app.run.source import Plan, Source
+from radiant_app.run.refining import left_out, partly_left_out
+from radiant_app.run.source import Source
 from radiant_app.run.stages import (
     begin_executor,
     list_nodes,
-    make_executor,
-    make_recipe,
-    make_time_left_listener,
     require_plan,
     scale_for_uploads,
-    workers_of,
 )
 from radiant_app.run.this_machine import system_of
 from radiant_app.run.whole_run import WholeRun
 from radiant_app.workers.evaluation import LPIPS_NAME
 from radiant_app.workers.memory import peak_bytes
 from radiant_app.workers.sources import SURVEY, detect_source
-from radiant_core.aggregate.tree import Tree, tree_of_plan
-from radiant_core.errors import BadInput, StageFailed
+from radiant_core.errors import BadInput
 from radiant_core.evaluate.lpips import load_lpips, save_lpips
 from radiant_core.hierarchy.choosing import REFINED
-from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
+from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json, write_json
@@ -66,7 +61,7 @@ from radiant_core.plan.system import System
 from radiant_core.splats import Splats
 
 if TYPE_CHECKING:
-    from radiant_app.run.over_network import CloudRun
+    from radiant_app.run.over_network import OwnersMachines
 
 NO_MODES = (
     "the disk of {out} keeps no access rights (NTFS, exFAT, a network drive?): whoever can read it can read the keys that this run signs "
@@ -121,7 +116,7 @@ def run(
 
     system = _check_system(config)
     lpips = None if config.evaluate.lpips_weights is None else load_lpips(config.evaluate.lpips_weights, config.evaluate.lpips_network)
-    with open_run(config, resume) as manifest, EventFile(config.out, listen) as heard, _network(config) as cloud, keep_servers():
+    with open_run(config, resume) as manifest, EventFile(config.out, listen) as heard, _owners(config) as owners, keep_servers():
         if lpips is not None:
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
@@ -129,18 +124,15 @@ def run(
         progress = Progress(manifest=manifest, listener=whole, clock=clock, started_s=clock() - manifest.ended_s)
         if not keeps_modes(config.out):
             progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))
-        if cloud is not None:
-            dealer, tree, rounds = cloud.join(scale_for_uploads(system, config.upload, progress), progress)
-        else:
-            if not resume:
-                begin_executor(config)
-            photographs = _locate_photographs(config, system, progress)
-            plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
-            dealer, tree, rounds = _join(config, photographs, plan, progress)
+        if owners is None and not resume:
+            begin_executor(config)
+        source = _locate_photographs(config, system, owners, progress)
+        plan = source.make_plan(scale_for_uploads(system, config.upload, progress), progress)
+        conducted = conduct(config, source, owners or Here(config=config), plan, progress)
+        dealer, rounds = conducted.dealer, conducted.rounds
         deal_files(dealer.scene_folder, ["scene.ply"], config.out)
-        trees = [refining.tree for refining in rounds if refining.tree]
-        emulation = emulated_figures(config.out, tree, trees, manifest) if config.emulated else {}
-        missed = {"not_refined": left_out(rounds), "partly_refined": partly_left_out(rounds)}
+        emulation = emulated_figures(config.out, conducted.tree, rounds, manifest) if config.emulated else {}
+        missed = {"not_refined": left_out(dealer, rounds), "partly_refined": partly_left_out(dealer, rounds)}
         refined = {"refined": dealer.version == REFINED, **missed}
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **refined, **emulation}
         metrics = _write_metrics(config, manifest, dealer.recipe, more)
@@ -169,80 +161,27 @@ def _check_system(config: RunConfig) -> System:
 
 
 @contextmanager
-def _network(config: RunConfig) -> Iterator[CloudRun | None]:
+def _owners(config: RunConfig) -> Iterator[OwnersMachines | None]:
     """The machines that join this one, if the run is over a network; it listens until the end."""
     if config.execution.executor != "network":
         yield None
         return
     from radiant_app.network.hub import open_hub
-    from radiant_app.run.over_network import CloudRun
+    from radiant_app.run.over_network import OwnersMachines
 
     with open_home(config.source).lock(), open_hub(open_home(config.source)) as hub:
-        yield CloudRun(config=config, hub=hub)
+        yield OwnersMachines(config=config, hub=hub)
 
 
-def _locate_photographs(config: RunConfig, system: System, progress: Progress) -> Source:
+def _locate_photographs(config: RunConfig, system: System, owners: OwnersMachines | None, progress: Progress) -> Source:
+    if owners is not None:
+        return FarDevices.count(config, system, owners, progress)
     if config.frames != "shared":
         return DevicePhotographs.locate(config, system, progress)
     progress.listen(Outlined(stages=("sfm", *list_nodes(system), "evaluation")))
     if (foreseen := foresee(config, system)) is not None:
         progress.listen(foreseen)
     return PooledPhotographs.reconstruct(config, progress)
-
-
-def _join(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree, tuple[Refining, ...]]:
-    """Fold the tree of a plan, refine the scene and score it; StageFailed where no model is usable.
-    The rounds in which it was refined come last."""
-    first_key, num_devices = plan_key(plan.cloud, plan.edges), devices_with_photographs(plan.edges)
-    if photographs.positions is not None:
-        plan = load_replan(config.out, plan)
-    recipe = make_recipe(config, plan, num_devices, progress)
-    photographs.check(recipe.train)
-    dealer = Dealer(run=config.out, recipe=recipe, photographs=photographs)
-    tree = with_groups(tree_of_plan(plan.cloud, plan.edges), recipe.groups)
-    prepare_meetings(config.out, recipe)
-    before, after = photographs.stages(tree)
-    nodes = [node.id for node in tree]
-    expected = expected_refines(recipe, tree)
-    progress.manifest.keep_stages({*before, *after, *nodes, *expected})
-    located = [stage for stage in before if stage in progress.manifest.stages]
-    progress.listen(Outlined(stages=(*located, *nodes, *expected, *after)))
-    progress.listen(foresee_planned(config, plan, recipe, workers_of(config, plan)))
-    listen = make_time_left_listener(config, plan, progress)
-    retry_policy = RetryPolicy(may_fail=photographs.may_fail, deadlines=listen)
-    if photographs.positions is not None:
-        reassignment = Reassignment(dealer=dealer, positions=photographs.positions, tree=tree, first_plan_key=first_key, listen=listen)
-        retry_policy = replace(retry_policy, on_given_up=reassignment)
-    retry_policy = replace(retry_policy, on_given_up=tell_parents(config.out, recipe, retry_policy.on_given_up))
-    executor = make_executor(config, plan, progress, retry_policy)
-    executor.fold(tree, dealer.prepare, listen)
-    end_groups(config.out, recipe)
-    if not dealer.has_model("cloud"):
-        reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
-        raise StageFailed(f"no device delivered a model that could be used. {reasons}")
-    rounds = plan_rounds(dealer, dealer.load_moves())
-    refines = [node.id for refining in rounds for node in refining.tree or ()]
-    # Nodes without a result, or with nothing to do now, would be waited for in every count.
-    absent = {f"devices/{device}/score" for device in dealer.missing_devices()}
-    after = [stage for stage in after if stage not in absent]
-    progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *refines, *after)))
-    rounds = _refine(config, rounds, plan, progress)
-    refined = [node.id for refining in rounds for node in refining.tree or () if refining.is_done(node.id)]
-    progress.listen(Outlined(stages=(*located, *filter(dealer.is_done, nodes), *refined, *after)))
-    photographs.score(dealer, executor, progress)
-    return dealer, tree, rounds
-
-
-def _refine(config: RunConfig, rounds: Sequence[Refining], plan: Plan, progress: Progress) -> tuple[Refining, ...]:
-    """Refine the joined scene on the devices; it stays as it is where none of them can."""
-
-    def fold(refining: Refining, tree: Tree) -> None:
-        times = expected_times(refining, progress.manifest)
-        deadlines = RefiningDeadlines(expected_s=times, deadline_factor=config.execution.deadline_factor)
-        policy = RetryPolicy(may_fail=lambda node, error: True, deadlines=deadlines)
-        make_executor(config, plan, progress, policy).fold(tree, refining.prepare, progress.listen)
-
-    return fold_rounds(rounds, fold, progress.listen)
 
 
 def _write_metrics(config: RunConfig, manifest: Manifest, recipe: Recipe, more: dict[str, Any]) -> dict[str, Any]:

@@ -120,15 +120,15 @@ def refining_law_of(
     """How a scene of so many training photographs is refined after such trainings, of which each
     has as many steps where these are `fixed`. The devices are all of the system, as in
     `with_step_law`: a share counts beside its costs of training."""
-    if not aggregate.refines or not num_photographs or not num_devices:
+    if not aggregate.refine.is_asked_for or not num_photographs or not num_devices:
         return RefiningLaw(num_rounds=0, share_of_training=lambda count: 0.0)
     law, trainings = step_law_of(train, num_photographs, num_devices), trainings_of(train, num_photographs, num_devices)
-    epochs = aggregate.refining_epochs_after(trainings)
+    epochs = aggregate.refine.epochs_after(trainings)
 
     def share_of(count: int) -> float:
         return refining_steps(epochs, count) / (train.num_steps if fixed else law.steps(count))
 
-    return RefiningLaw(num_rounds=aggregate.rounds_after(trainings), share_of_training=share_of)
+    return RefiningLaw(num_rounds=aggregate.refine.rounds_after(trainings), share_of_training=share_of)
 
 
 def with_own_frames(system: System, num_cameras: int, *, known_poses: bool = False) -> System:

@@ -21,7 +21,6 @@ from statistics import median
 
 from radiant_app.files.run_folder import Manifest
 from radiant_app.run.dealing import Dealer
-from radiant_app.run.refining import Refining
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
 from radiant_core.aggregate.tree import Tree, refines_for
 from radiant_core.hierarchy.codec import SUMMARY_NAME
@@ -56,13 +55,13 @@ class RefiningDeadlines:
         return f"it has run for {ran_s:.0f} s, where its own work before the scene was joined says {expected_s:.0f} s"
 
 
-def expected_times(refining: Refining, manifest: Manifest) -> dict[str, float]:
-    """Seconds that each node of a refinement should take; one whose own time is not known gets the
+def expected_times(dealer: Dealer, tree: Tree, manifest: Manifest) -> dict[str, float]:
+    """Seconds that each node of a round should take; one whose own time is not known gets the
     median of its tier."""
-    dealer, scene = refining.dealer, _summary(refining.dealer.run / "cloud")
+    scene = _summary(dealer.run / "cloud")
     times = {**manifest.stages, **manifest.emulated}
     expected: dict[str, float] = {}
-    for node in refining.tree or ():
+    for node in tree:
         refined = refines_for(node.id)
         process_s = times[refined]["ended_s"] - times[refined]["started_s"] if refined in times else 0.0
         if process_s <= 0:
@@ -77,8 +76,8 @@ def expected_times(refining: Refining, manifest: Manifest) -> dict[str, float]:
         beside_s = (process_s - trained_s) * (1.0 if node.tier == "device" else larger)
         beside_s += sum(_render_s(dealer, child, scene) for child in node.children) if node.tier == "edge" else 0.0
         expected[node.id] = beside_s + trained_s * larger * num_steps / max(1, summary.get("num_steps", 0))
-    for node in refining.tree or ():
-        alike = [expected[sibling.id] for sibling in refining.tree or () if sibling.tier == node.tier and sibling.id in expected]
+    for node in tree:
+        alike = [expected[sibling.id] for sibling in tree if sibling.tier == node.tier and sibling.id in expected]
         if alike:
             expected.setdefault(node.id, median(alike))
     return expected

@@ -111,7 +111,7 @@ def costs_of_run(config: RunConfig, system: System, num_cameras: int) -> tuple[S
     scaled = scaled_to_training(system, train, config.train.preset, num_cameras)
     by_photographs = config.train.step_policy == "per_photograph"
     system = with_step_law(scaled.system, train, num_cameras) if by_photographs else with_fixed_steps(scaled.system, train)
-    system = with_short_joins(system, train, num_cameras, config.aggregate.config)
+    system = with_short_joins(system, train, num_cameras, config.joining)
     if config.frames != "shared":
         system = with_own_frames(system, num_cameras, known_poses=config.frames == "known")
     return system, () if scaled.note is None else (scaled.note,)
@@ -279,7 +279,7 @@ def resolve_training(config: RunConfig, progress: Progress) -> tuple[TrainConfig
     backend = resolve_backend("auto")
     preset = replace(train_preset(config.train.preset), seed=config.seed)
     train, decisions = fit_to_backend(preset, backend, config.train.overrides)
-    aggregate = config.aggregate.config
+    aggregate = config.joining
     if backend == "reference" and train.reduce_on_cpu:
         aggregate = replace(aggregate, max_num_steps=REFERENCE_RETRAIN_STEPS)
         decisions = (*decisions, _retrain_decision())

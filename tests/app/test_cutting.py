@@ -165,7 +165,7 @@ def test_it_is_forced_both_ways(street: SfmScene, tmp_path: Path) -> None:
 def test_other_methods_and_scenes_without_points_are_cut_where_cameras_stand(street: SfmScene, tmp_path: Path) -> None:
     _, made, decision = planned(street, tmp_path / "a", method="even")
     assert made.cloud.looks is None and decision["figure"] is None and "method even" in decision["reason"]
-    _, made, _ = planned(street, tmp_path / "b", method="kd", cut_by="looks")
+    _, made, _ = planned(street, tmp_path / "b", method="paper", cut_by="looks")
     assert made.cloud.looks is not None
     blind = replace(street, observations=np.zeros((0, 2), np.int64))
     _, made, decision = planned(blind, tmp_path / "c")

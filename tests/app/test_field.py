@@ -205,7 +205,7 @@ def test_no_other_process_opens_a_devices_photographs(frames: str, hamlet: Path,
     command = [sys.executable, "-m", "radiant_app", "run", source, "--out", tmp_path / "run", "--frames", frames]
     poses = ["--poses", hamlet / "known"] if frames == "known" else []
     # Two rounds of refining: a further one opens what the second does.
-    options = [*poses, "--system", system, "--steps", 20, "--long-side-px", 64, "--max-splats", 800, "--set", "aggregate.refine_rounds=2"]
+    options = [*poses, "--system", system, "--steps", 20, "--long-side-px", 64, "--max-splats", 800, "--set", "refine.rounds=2"]
     environment = {**os.environ, "LD_PRELOAD": str(preload), "OPENED_FILES": str(log), SWITCH: "0"}
     done = subprocess.run(
         [str(part) for part in (*command, *options)], env=environment, capture_output=True, text=True, timeout=600, check=False

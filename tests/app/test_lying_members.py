@@ -27,7 +27,6 @@ from radiant_app.reporting import read_notes
 from radiant_app.run.captured import MOST_TIMES, middles_of_raster, place_rasters, weigh_claims
 from radiant_app.run.choosing import keep_best
 from radiant_app.run.far_devices import FarDevices
-from radiant_app.run.over_network import CloudRun
 from radiant_app.run.scoring import combine_scores
 from radiant_app.workers.rasters import MAX_PHOTOGRAPHS, MOST_UNITS, raster_of, raster_problem
 from radiant_app.workers.scores import Claimable, admit_scores, claim_problem, scores_of
@@ -324,8 +323,8 @@ def test_a_raster_is_of_the_photographs_that_were_counted() -> None:
     assert raster_problem(raster, 5, 5) == "its raster has 6 photographs, and it counted 5 before."
     assert raster_problem(raster, 6, 4) == "its raster places 5 photographs, and it trains on 4 of those that it counted."
     heard: list[Event] = []
-    cloud = CloudRun(config=cast(Any, RunConfig(source=Path("s"), out=Path("o"))), hub=cast(Any, None))
-    usable = cloud._usable_rasters({"d": raster, "e": raster}, FarDevices(counts={"d": 3, "e": 6}), silent(heard))
+    devices = FarDevices(config=RunConfig(source=Path("s"), out=Path("o")), edges=cast(Any, None), counts={"d": 3, "e": 6})
+    usable = devices._usable_rasters({"d": raster, "e": raster}, silent(heard))
     assert [*usable] == ["e"] and warnings(heard) == ["device d takes no part: its raster has 6 photographs, and it counted 3 before."]
 
 

@@ -30,7 +30,7 @@ from radiant_app.commands.model.render import RenderRequest, render
 from radiant_app.commands.survey.measure import export_measures
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.reporting import EventReporter
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import AggregateConfig, Refine
 from radiant_core.errors import BadInput
 from radiant_core.export.scene import save_spz
 from radiant_core.export.sog import save_sog
@@ -213,7 +213,7 @@ def extended(old: Splats, new: Splats) -> None:
         sites=(),
         weights=(),
         train=TrainConfig(),
-        aggregate=AggregateConfig(cloud_epochs=1, refine_epochs=0),
+        aggregate=AggregateConfig(cloud_epochs=1, refine=Refine(epochs=0)),
         backend="native",
         extends=Extension(polygon=square, margin_m=0.3),
     )

@@ -42,7 +42,7 @@ def test_forecast_buffers_and_comparison_stand_in_plan_lists_regions_and_picture
     methods, borders, flights = plan_tables(result)
     assert "paper-literal" in methods and "edge-1 | edge-2" in borders
     assert all(f"edge-{edge}-device-{device}" in flights or f"edge-{edge}-{device}" in flights for edge in (1, 2) for device in (1, 2))
-    assert "content" not in [row["method"] for row in result["methods"]], "it would be kd under another name"
+    assert "content" not in [row["method"] for row in result["methods"]], "it would be halves of equal counts"
     assert "nobody knows before capture" in result["methods_left_out"]
     record = json.loads((tmp_path / "plan.json").read_text())
     assert record["forecast"]["borders"][0]["risk"] in ("low", "medium", "high")

@@ -78,7 +78,7 @@ def test_everything_at_once_on_an_edge_by_its_curve_and_one_of_measured_guessed_
     assert near["camera_indices"] and near["edge_time_s"] >= near["planned_edge_time_s"]
     assert "far none, it deals its own" in result["buffers"] and "Dealt by the edge itself, later: far." in result["warnings"]
     assert record["warnings"] and all(warning in result["warnings"] for warning in record["warnings"])
-    assert {row["method"] for row in result["methods"]} >= {"exact", "paper", "voronoi"}
+    assert {row["method"] for row in result["methods"]} >= {"exact", "paper", "even"}
     for name in ("picture", "gantt", "comparison", "slack_picture"):
         picture = cv2.imread(result[name])
         assert picture is not None and (picture != 255).any(axis=2).mean() > 0.01

@@ -32,7 +32,7 @@ from radiant_app.run.predictions import (
 )
 from radiant_app.run.progress import Progress
 from radiant_app.run.stages import FRAMES_UNPREDICTED, warn_about_predictions
-from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.config import AggregateConfig, Refine, aggregate_preset
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.curve_fit import FittedCurve
@@ -113,7 +113,7 @@ def test_measured_edges_and_the_cloud_cost_the_epochs_that_follow_on_short_train
     for count, expected in ((40, 6 + at_edges * (20 - 6)), (4, 2.4)):
         assert float(with_alone.aggregate_s(count)) == pytest.approx(expected, rel=0.05), "no less than what one device takes"
     assert with_short_joins(system, train, 100, aggregate_preset("paper")) == system
-    assert with_short_joins(system, train, 100, AggregateConfig(refine_epochs=0)) == system
+    assert with_short_joins(system, train, 100, AggregateConfig(refine=Refine(epochs=0))) == system
     spelt_out = System(edges=(replace(edge, profile=None),), cloud=Cloud(merge_s=curve))
     assert with_short_joins(spelt_out, train, 100, AggregateConfig()) == spelt_out
 
@@ -179,7 +179,7 @@ def test_devices_with_folders_of_their_own_are_predicted_and_warned_of_as_dealt_
 
 
 def _run_of(config: RunConfig, num_cameras: int) -> tuple[TrainConfig, int, AggregateConfig]:
-    return planned_training(config.train.preset, config.train.overrides), num_cameras, config.aggregate.config
+    return planned_training(config.train.preset, config.train.overrides), num_cameras, config.joining
 
 
 @pytest.mark.parametrize(("frames", "of_profile", "expected"), [("gps", True, 1), ("known", True, 0), ("gps", False, 0)])
@@ -257,7 +257,7 @@ def test_the_law_has_the_rounds_and_steps_of_a_run() -> None:
     assert fixed.share_of_training(5) == pytest.approx(40 / 1500) and fixed.num_rounds == long.num_rounds
     # 500 steps of four devices with five photographs each: five epochs.
     assert refining_law_of(replace(train, num_steps=500), aggregate, 20, 4).share_of_training(5) == pytest.approx(25 / 500)
-    for nothing in (refining_law_of(train, AggregateConfig(refine_epochs=0), 52, 4), refining_law_of(train, aggregate, 0, 4)):
+    for nothing in (refining_law_of(train, AggregateConfig(refine=Refine(epochs=0)), 52, 4), refining_law_of(train, aggregate, 0, 4)):
         assert nothing.num_rounds == 0 and nothing.share_of_training(5) == 0
 
 

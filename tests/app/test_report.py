@@ -14,8 +14,7 @@ from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import RunConfig, TrainOptions
 from radiant_app.events import Event, RunLeft, StageDone, StageProgress, StageStarted
 from radiant_app.report.gaps import gaps_of, notes_of
-from radiant_app.report.hero import NUM_SIDES
-from radiant_app.report.html import PARTS, REPORT, title_of, with_code
+from radiant_app.report.html import NUM_SIDES, PARTS, REPORT, title_of, with_code
 from radiant_app.report.survey import area_text, length_text, observed_area, sampling_distance, survey_of
 from radiant_app.run.pipeline import RunResult, run
 from radiant_core.frames import Frame

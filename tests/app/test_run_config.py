@@ -15,6 +15,7 @@ from radiant_app.cli.app import app
 from radiant_app.config.fields import config_of, tables_of, train_options, values_of, with_settings
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.pipeline import run
+from radiant_core.aggregate.config import Refine
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.train.config import train_preset
@@ -28,7 +29,7 @@ system = "fleet.toml"
 seed = 3
 preset = "paper"
 [plan]
-method = "voronoi"
+method = "even"
 [train]
 num_steps = 300
 sky = false
@@ -43,7 +44,7 @@ ASKED: dict[str, Any] = {
     "seed": 3,
     "upload": "float32",
     "sfm": SfmOptions(matching="exhaustive", effort="thorough"),
-    "plan": PlanOptions(method="voronoi", within_edge="joined", between_edges="joined"),
+    "plan": PlanOptions(method="even", within_edge="joined", between_edges="joined"),
     "train": TrainOptions(
         preset="paper", num_steps=300, step_policy="fixed", settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}
     ),
@@ -79,15 +80,15 @@ def test_a_run_file_options_and_set_start_the_same_run(tmp_path: Path, asked: Ru
     where = (tmp_path / "photos", "--out", tmp_path / "run", "--system", tmp_path / "fleet.toml", "--preset", "paper")
     train_set = ("--set=train.sky=false", "--set=train.max-epochs=none", "--set=train.density.kind=mcmc")
     only_set = (*train_set, "--set", "aggregate.cloud_epochs=2")
-    options = ("--seed", 3, "--plan-method", "voronoi", "--steps", 300, "--checkpoint-every", "1.5m")
+    options = ("--seed", 3, "--plan-method", "even", "--steps", 300, "--checkpoint-every", "1.5m")
     assert started(monkeypatch, *where, *options, *only_set) == asked
-    paths = ("seed=3", "plan.method=voronoi", "train.num_steps=300", "execution.checkpoint_every_s=90")
+    paths = ("seed=3", "plan.method=even", "train.num_steps=300", "execution.checkpoint_every_s=90")
     assert started(monkeypatch, *where, *only_set, *(f"--set={path}" for path in paths)) == asked
 
 
 def test_options_beside_a_run_file_win(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = started(monkeypatch, run_file(tmp_path), "--steps", 7, "--set=plan.method=even", "--out", tmp_path / "other")
-    assert (config.train.num_steps, config.plan.method, config.out) == (7, "even", tmp_path / "other")
+    config = started(monkeypatch, run_file(tmp_path), "--steps", 7, "--set=plan.method=paper", "--out", tmp_path / "other")
+    assert (config.train.num_steps, config.plan.method, config.out) == (7, "paper", tmp_path / "other")
     assert config.train.settings == {"sky": False, "max_epochs": None, "density.kind": "mcmc"}
 
 
@@ -115,9 +116,10 @@ def test_a_configuration_comes_back_from_its_tables(asked: RunConfig) -> None:
         ("seed = 3", "num_steps = 3", "num_steps is not a key of a run file: use train.num_steps."),
         ("[plan]", "[plans]", "plans is not a section of a run file: did you mean [plan]?"),
         ("seed = 3", "evaluate = 3", "evaluate is 3, expected a section, [evaluate]."),
-        ('"voronoi"', '"magic"', "plan.method is 'magic'; expected 'exact', 'paper', 'paper-literal', 'even', 'voronoi' or 'kd'"),
+        ('"even"', '"magic"', "plan.method is 'magic'; expected 'exact', 'paper', 'paper-literal' or 'even'"),
         ('system = "fleet.toml"', 'system = ""', "system is ''; string should have at least 1 character"),
         ('source = "photos"', "", "source is missing"),
+        ("cloud_epochs", "refine_epochs", "aggregate.refine_epochs is not a key of a run file: it is refine.epochs now."),
         ("[train]", "[train", "not a TOML file"),
     ],
 )
@@ -154,6 +156,8 @@ def test_what_is_set_is_a_forced_decision() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
+        (["aggregate.refine_rounds=2"], r"sets nothing: it is refine\.rounds now\.$"),
+        (["refine.epoch=2"], r"did you mean refine\.epochs\?"),
         (["train.colour=red"], "expected PATH=VALUE with one of .*train.sh_degree"),
         (["colour=red"], r"expected PATH=VALUE with one of source, .*train\.…"),
         (["light=auto"], r"use train\.light\."),
@@ -190,9 +194,20 @@ def test_a_training_takes_no_setting_of_a_run(tmp_path: Path) -> None:
 
 def test_a_value_out_of_range_is_refused_before_the_run_begins() -> None:
     of_no_policy = {"train.density.kind": "mcmc", "train.density.reset_opacity_every": 5}
-    for values in ({"train.start_scale": 2.0}, {"aggregate.edge_epochs": 0}, of_no_policy):
-        with pytest.raises(BadInput, match=r"start_scale is 2|edge_epochs|reset_opacity_every is no setting of 'mcmc'"):
+    for values in ({"train.start_scale": 2.0}, {"aggregate.edge_epochs": 0}, {"refine.rounds": 0}, of_no_policy):
+        with pytest.raises(
+            BadInput, match=r"start_scale is 2|edge_epochs|rounds of refining is 0|reset_opacity_every is no setting of 'mcmc'"
+        ):
             config_of({"source": Path("photos"), "out": Path("run"), **values})
+
+
+def test_refining_has_a_section_of_its_own_beside_the_preset_of_joining() -> None:
+    where = {"source": Path("photos"), "out": Path("run")}
+    assert config_of({**where, "refine.rounds": 2}).joining.refine == Refine(rounds=2)
+    paper = {**where, "aggregate.preset": "paper"}
+    assert not config_of(paper).joining.refine.is_asked_for and config_of({**paper, "refine.epochs": 1}).joining.refine.is_asked_for
+    with pytest.raises(BadInput, match="0 epochs at the cloud leave the models to the devices"):
+        config_of({**where, "aggregate.cloud_epochs": 0, "refine.epochs": 0})
 
 
 def test_devices_of_a_run_are_planned_for_one_training_each() -> None:

@@ -188,7 +188,7 @@ def test_runs_whose_machines_are_elsewhere_or_that_ask_for_a_division_have_two_e
     assert is_one_device(config) and len(system_of(config).devices) == 1
     for divided_run in (
         replace(config, execution=ExecutionOptions(executor="ray", address="local")),
-        replace(config, plan=PlanOptions(method="kd")),
+        replace(config, plan=PlanOptions(method="even")),
         replace(config, plan=PlanOptions(file=tmp_path / "plan.json")),
         replace(config, aggregate=AggregateOptions(preset="paper")),
         replace(config, plan=FOUR),

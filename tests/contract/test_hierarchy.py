@@ -21,10 +21,10 @@ from radiant_app.executors.ray_cluster import RayExecutor
 from radiant_app.files.system_file import even_system
 from radiant_app.run.dealing import Dealer
 from radiant_app.run.pooled import PooledPhotographs
-from radiant_app.run.refining import Refining, plan_rounds
+from radiant_app.run.refining import plan_rounds
 from radiant_app.workers.nodes import CUT_SCENE
 from radiant_app.workers.sources import sfm_record
-from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.config import AggregateConfig, Refine, aggregate_preset
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
@@ -116,24 +116,24 @@ def hamlet_of_two_tiers(folder: Path) -> World:
         config=RunConfig(source=hamlet / "images", out=folder), scene=result.scene, images=result.undistorted_folder
     )
     recipe = planned(
-        photographs, unequal(even_system(2, 2)), DRAFT, AggregateConfig(cloud_epochs=1, edge_epochs=2, refine_epochs=2, refine_rounds=2)
+        photographs, unequal(even_system(2, 2)), DRAFT, AggregateConfig(cloud_epochs=1, edge_epochs=2, refine=Refine(epochs=2, rounds=2))
     )
     return World(photographs=photographs, recipe=replace(recipe, upload="float16"))
 
 
 def ground_of_a_lone_edge(folder: Path) -> World:
     """One edge, which retrains its two devices' models; exact uploads."""
-    return ground(folder, unequal(even_system(1, 2)), AggregateConfig(edge_epochs=1, refine_epochs=2, refine_rounds=3))
+    return ground(folder, unequal(even_system(1, 2)), AggregateConfig(edge_epochs=1, refine=Refine(epochs=2, rounds=3)))
 
 
 def ground_crop_merged(folder: Path) -> World:
     """Two edges of one device each, whose models the cloud crops; exact uploads."""
-    return ground(folder, even_system(2, 1), AggregateConfig(cloud="crop_merge", refine_epochs=2, refine_rounds=1))
+    return ground(folder, even_system(2, 1), AggregateConfig(cloud="crop_merge", refine=Refine(epochs=2, rounds=1)))
 
 
 def ground_that_only_fades(folder: Path) -> World:
     """Two edges of one device each, whose models the cloud leaves to the devices; exact uploads."""
-    return ground(folder, even_system(2, 1), AggregateConfig(cloud_epochs=0, refine_epochs=2, refine_rounds=2))
+    return ground(folder, even_system(2, 1), AggregateConfig(cloud_epochs=0, refine=Refine(epochs=2, rounds=2)))
 
 
 def ground(folder: Path, system: System, aggregate: AggregateConfig) -> World:
@@ -224,12 +224,12 @@ def runs(
         executor = RayExecutor(address=request.getfixturevalue("address"), log=folder / "ray.log", command=command)
     trees = [world.tree.map_ids(f"{name}/{{}}".format) for name, world in worlds.items()]
     executor.fold(Tree(id="all", tier="cloud", children=tuple(trees)), prepare, lambda event: None)
-    rounds = {name: plan_rounds(dealer, dealer.load_moves()) for name, dealer in dealers.items()}
+    rounds = {name: plan_rounds(dealer, lambda event: None) for name, dealer in dealers.items()}
     for number in range(max(map(len, rounds.values()))):
-        refining = {name: each[number] for name, each in rounds.items() if len(each) > number}
-        fold_round(refining, executor)
-        for name, one in refining.items():
-            dealers[name].refined = one.scene_folder
+        trees = {name: each[number] for name, each in rounds.items() if len(each) > number}
+        fold_round(dealers, trees, executor)
+        for name in trees:
+            dealers[name].refined = dealers[name].refined_by(number + 1)
     compared = dealers[COMPARED]
     save_plan(compared.run / "plan.json", compared.recipe.cloud_plan, compared.recipe.edge_plans)
     progress = SimpleNamespace(listen=lambda event: None, clock=time.monotonic, manifest=SimpleNamespace(access_log=[]))
@@ -237,16 +237,15 @@ def runs(
     return {name: dealer.scene_folder for name, dealer in dealers.items()}
 
 
-def fold_round(refining: dict[str, Refining], executor: Executor) -> None:
+def fold_round(dealers: dict[str, Dealer], trees: dict[str, Tree], executor: Executor) -> None:
     """A round of every world, all of them as one tree."""
-    found = {name: tree for name, one in refining.items() if (tree := one.tree) is not None}
-    nodes = {f"{name}/{node.id}": (refining[name], node) for name, tree in found.items() for node in tree}
+    nodes = {f"{name}/{node.id}": (dealers[name], node) for name, tree in trees.items() for node in tree}
 
     def prepare(node: Tree) -> NodeTask | None:
         return nodes[node.id][0].prepare(nodes[node.id][1]) if node.id in nodes else None
 
-    trees = tuple(tree.map_ids(f"{name}/{{}}".format) for name, tree in found.items())
-    executor.fold(Tree(id="all", tier="cloud", children=trees), prepare, lambda event: None)
+    children = tuple(tree.map_ids(f"{name}/{{}}".format) for name, tree in trees.items())
+    executor.fold(Tree(id="all", tier="cloud", children=children), prepare, lambda event: None)
 
 
 def run_of(scene_folder: Path) -> Path:

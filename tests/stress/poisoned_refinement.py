@@ -18,6 +18,7 @@ from benchmarks.methods.arms import load_arms
 from benchmarks.methods.cells import Cell, Layout, bench_settings
 from radiant_core.aggregate import averaging
 from radiant_core.aggregate.averaging import Refinement, admit_refinement, join_refinements, refine_scene
+from radiant_core.aggregate.config import Refine
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.shown_pixels import count_shown_photographs
 from radiant_core.geometry.coverage import reached_by
@@ -102,7 +103,7 @@ def main(scene_folder: Path, out: Path, num_steps: int, num_attackers: int) -> N
     """Print the table."""
     cell = load_arms(scene_folder, out, Layout(num_edges=2, num_devices=2), bench_settings(384, num_steps)).first
     models = cell.train_devices(cell.recipe)
-    bare = replace(cell.recipe, aggregate=replace(cell.recipe.aggregate, refine_epochs=0))
+    bare = replace(cell.recipe, aggregate=replace(cell.recipe.aggregate, refine=Refine(epochs=0)))
     given = cell.scene
     kept = {f"devices/{name}": model for name, model in models.items()}
     run = run_in_process(bare, given.training, given.views, train=lambda task, views, reporter: kept[reporter.stage])

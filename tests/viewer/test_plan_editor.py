@@ -303,10 +303,10 @@ def test_every_kind_of_edit_is_written_and_read_back(tmp_path: Path) -> None:
 def test_a_whole_plan_can_be_adopted_and_two_plans_compared() -> None:
     subject, system, plan = planned()
     editor = PlanEditor(subject, system, plan)
-    even = plan_regions(subject.on_map, system, method="voronoi")
+    even = plan_regions(subject.on_map, system, method="even")
     assert isinstance(even, CloudPlan)
     other = (even, split_edges(subject.on_map, even, system))
-    editor.apply(AdoptPlan(name="voronoi", cloud=other[0], edges=other[1]))
+    editor.apply(AdoptPlan(name="even", cloud=other[0], edges=other[1]))
     assert same((editor.state.cloud, editor.state.edges), other)
     difference = plan_difference(plan, other)
     assert int(difference.new_edge.sum()) == (plan[0].edge_of_camera != even.edge_of_camera).sum() == sum(n for _, _, n in difference.flows)

@@ -18,7 +18,6 @@ from shapely import get_coordinates
 from shapely.geometry import Point, Polygon, shape
 
 from radiant_app.files.system_file import load_system
-from radiant_core.choices import PlanMethod
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene, save_plan
 from radiant_core.plan.devices.device_split import split_edges
@@ -45,13 +44,13 @@ def town_of_the_tasks() -> Town:
     return replace(town, scene=replace(town.scene, observations=seen.astype(np.int64)))
 
 
-def planned(town: Town, system_file: Path, method: PlanMethod) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+def planned(town: Town, system_file: Path, tolerance: float) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     system = load_system(system_file)
     placed = replace(
         system, edges=tuple(replace(edge, position=(float(x), float(y))) for edge, (x, y) in zip(system.edges, SITES, strict=True))
     )
     positions = town.scene.cameras.centers[:, :2]
-    cloud = plan_regions(positions, placed, method=method)
+    cloud = plan_regions(positions, placed, tolerance=tolerance)
     assert isinstance(cloud, CloudPlan)
     return cloud, split_edges(positions, cloud, placed)
 
@@ -76,9 +75,9 @@ def make_run(run: Path, out: Path) -> None:
     lines = [f'[[edge]]\nid = "{edge}"\n' + "".join(f'[[edge.device]]\nid = "{edge}-{n}"\n' for n in (1, 2)) for edge in EDGE_IDS]
     run.mkdir()
     (run / "system.toml").write_text("".join(lines))
-    cloud, edges = planned(town, run / "system.toml", "voronoi")
+    cloud, edges = planned(town, run / "system.toml", tolerance=1e12)
     save_run(run, replace(town, cloud_plan=cloud, edge_plans=edges))
-    save_plan(out / "other.json", *planned(town, run / "system.toml", "exact"))
+    save_plan(out / "other.json", *planned(town, run / "system.toml", tolerance=0.0))
 
 
 def test_no_task_takes_more_than_five_actions(done: Any) -> None:

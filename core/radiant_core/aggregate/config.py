@@ -44,6 +44,41 @@ class Trainings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Refine:
+    """How devices refine the scene that was joined."""
+
+    epochs: int | None = None
+    """How often a device shows each of its photographs to the joined scene in a round, at most (see
+    `hierarchy.refining_plan.MAX_STEPS`); 0: not at all. None: by how long devices trained
+    (`Trainings.refining`)."""
+    rounds: int | None = None
+    """How often devices refine the scene, each time from somewhat beyond the mean of what all of
+    them made of it before; the scene travels down and what changed in it up in each. Above ten,
+    where the light of photographs differs, the scene's may run away (docs/experiments/
+    aggregation.md, "Lost or unfinished?"). None: by how long devices trained
+    (`Trainings.refining`)."""
+
+    def __post_init__(self) -> None:
+        if self.epochs is not None and self.epochs < 0:
+            raise BadInput(f"epochs of refining is {self.epochs}, expected 0 (the scene is not refined) or more.")
+        if self.rounds is not None and not 1 <= self.rounds <= MAX_ROUNDS:
+            raise BadInput(f"rounds of refining is {self.rounds}, expected 1 to {MAX_ROUNDS}: set its epochs to 0 to refine nothing.")
+
+    @property
+    def is_asked_for(self) -> bool:
+        """Whether devices are to refine what was joined."""
+        return self.epochs != 0
+
+    def epochs_after(self, trainings: Trainings) -> int:
+        """How often a device shows each of its photographs in a round after such trainings."""
+        return trainings.refining.values["epochs"] if self.epochs is None else self.epochs
+
+    def rounds_after(self, trainings: Trainings) -> int:
+        """In how many rounds devices refine after such trainings."""
+        return self.rounds or trainings.refining.values["rounds"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class JoinRules:
     """What every join of a run has in common."""
 
@@ -107,33 +142,21 @@ class AggregateConfig(JoinRules):
     cloud_epochs: int | None = None
     """The same of the cloud; 0: models fade where others own the place, and nothing is fitted
     before devices refine them."""
-    refine_epochs: int | None = None
-    """How often a device shows each of its photographs to the joined scene in a round, at most (see
-    `hierarchy.refining_plan.MAX_STEPS`); 0: not at all. None: by how long devices trained
-    (`Trainings.refining`)."""
-    refine_rounds: int | None = None
-    """How often devices refine the scene, each time from somewhat beyond the mean of what all of
-    them made of it before; the scene travels down and what changed in it up in each. Above ten,
-    where the light of photographs differs, the scene's may run away (docs/experiments/
-    aggregation.md, "Lost or unfinished?"). None: by how long devices trained
-    (`Trainings.refining`)."""
     cloud: Literal["crop_merge", "retrain"] = "retrain"
     """retrain: the cloud does as the edges, on views from virtual cameras, and cuts models at their
     borders where that would exceed its limits; crop_merge: it always cuts them there."""
+    refine: Refine = Refine()
+    """How devices refine what was joined."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.cloud not in ("crop_merge", "retrain"):
             raise BadInput(f"the cloud's aggregation is {self.cloud!r}, expected 'crop_merge' or 'retrain'.")
-        if self.refine_epochs is not None and self.refine_epochs < 0:
-            raise BadInput(f"refine_epochs is {self.refine_epochs}, expected 0 (the scene is not refined) or more.")
-        if self.refine_rounds is not None and not 1 <= self.refine_rounds <= MAX_ROUNDS:
-            raise BadInput(f"refine_rounds is {self.refine_rounds}, expected 1 to {MAX_ROUNDS}: set refine_epochs to 0 to refine nothing.")
         limits = (self.cloud_epochs, 0), (self.edge_epochs, 1)
         if any(number is not None and number < least for number, least in limits):
             raise BadInput("edge_epochs of the aggregation must be at least 1, cloud_epochs at least 0.")
-        if self.cloud_epochs == 0 and (self.preset == "paper" or not self.refines):
-            raise BadInput("0 epochs at the cloud leave the models to the devices that refine them: give 1 or more, or refine_epochs.")
+        if self.cloud_epochs == 0 and (self.preset == "paper" or not self.refine.is_asked_for):
+            raise BadInput("0 epochs at the cloud leave the models to the devices that refine them: give 1 or more, or epochs of refining.")
 
     @property
     def at_edge(self) -> Join:
@@ -150,31 +173,20 @@ class AggregateConfig(JoinRules):
 
     def joining_after(self, trainings: Trainings) -> AggregateConfig:
         """The settings with the epochs of joining after such trainings."""
-        if not self.refines:
+        if not self.refine.is_asked_for:
             return self
         case = trainings.joining.values
         edge = case.get("edge_epochs") if self.edge_epochs is None else self.edge_epochs
         cloud = case.get("cloud_epochs") if self.cloud_epochs is None else self.cloud_epochs
         return replace(self, edge_epochs=edge, cloud_epochs=cloud)
 
-    @property
-    def refines(self) -> bool:
-        """Whether devices are to refine what was joined."""
-        return self.refine_epochs != 0
-
-    def refining_epochs_after(self, trainings: Trainings) -> int:
-        """How often a device shows each of its photographs in a round after such trainings."""
-        return trainings.refining.values["epochs"] if self.refine_epochs is None else self.refine_epochs
-
-    def rounds_after(self, trainings: Trainings) -> int:
-        """In how many rounds devices refine after such trainings."""
-        return self.refine_rounds or trainings.refining.values["rounds"]
-
 
 def aggregate_preset(name: str) -> AggregateConfig:
     """The configuration of a preset; BadInput lists the names there are."""
     if name == "paper":
-        return AggregateConfig(preset="paper", cloud_epochs=10, edge_epochs=10, refine_epochs=0, retrain_single=True, weight_by_alpha=False)
+        return AggregateConfig(
+            preset="paper", cloud_epochs=10, edge_epochs=10, refine=Refine(epochs=0), retrain_single=True, weight_by_alpha=False
+        )
     if name != "default":
         raise BadInput(f"aggregate preset {name!r} is unknown: use one of {', '.join(get_args(AggregatePreset))}.")
     return AggregateConfig()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
@@ -13,7 +13,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 Result = TypeVar("Result")
 Tier = Literal["cloud", "edge", "device"]
 REFINE = "refine"
-_ROUND = re.compile(rf"(cloud|[^/]+/[^/]+)/{REFINE}\d*")
+_ROUND = re.compile(rf"(cloud|[^/]+/[^/]+)/{REFINE}(\d*)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +89,22 @@ def refines_for(node_id: str) -> str:
     id as it is."""
     match = _ROUND.fullmatch(node_id)
     return match[1] if match else node_id
+
+
+def round_of(node_id: str) -> int:
+    """The round in which the scene is refined at this node; 0 for any other node."""
+    match = _ROUND.fullmatch(node_id)
+    return int(match[2] or 1) if match else 0
+
+
+def tree_of_round(devices: Mapping[str, Sequence[str]], number: int) -> Tree:
+    """The nodes that refine the scene in round `number`: devices by edge, edges and the cloud."""
+
+    def node(tier: Tier, owner: str, children: tuple[Tree, ...] = ()) -> Tree:
+        return Tree(id=refined_at(owner, number), tier=tier, children=children)
+
+    edges = [node("edge", f"edges/{edge}", tuple(node("device", f"devices/{name}") for name in names)) for edge, names in devices.items()]
+    return node("cloud", "cloud", tuple(edges))
 
 
 def scored_at(node_id: str) -> str:

@@ -42,7 +42,7 @@ def joining_decision(recipe: Recipe) -> Decision | None:
     """In how many epochs tiers join, where devices refine what was joined; None where no model is
     joined or nothing is refined."""
     aggregate, joining, trainings = recipe.aggregate, recipe.joining, recipe.trainings
-    if not aggregate.refines or trainings.num_devices < 2 or "cloud" in recipe.groups:
+    if not aggregate.refine.is_asked_for or trainings.num_devices < 2 or "cloud" in recipe.groups:
         return None
     case = trainings.joining
     return Decision(

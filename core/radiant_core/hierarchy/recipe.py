@@ -91,7 +91,7 @@ class Recipe:
     @property
     def refining_epochs(self) -> int:
         """How often a device shows each of its photographs to the scene in a round."""
-        return self.aggregate.refining_epochs_after(self.trainings)
+        return self.aggregate.refine.epochs_after(self.trainings)
 
     @property
     def _total_devices(self) -> int:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from radiant_core.aggregate.averaging import average_bytes
+from radiant_core.aggregate.config import Refine
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.join_limits import UNREFINED_COSTS
 from radiant_core.hierarchy.recipe import Recipe
@@ -45,7 +46,7 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
     Returns:
         The devices by edge, and a decision wherever the settings ask for more.
     """
-    if not recipe.aggregate.refines:
+    if not recipe.aggregate.refine.is_asked_for:
         return RefiningPlan(devices={})
     num_present = sum(map(len, present.values()))
     if num_present < LEAST_DEVICES:
@@ -73,7 +74,7 @@ def plan_refining(recipe: Recipe, present: Mapping[str, Sequence[str]], num_spla
 
 def choose_rounds(recipe: Recipe) -> int:
     """In how many rounds devices refine a scene."""
-    return recipe.aggregate.rounds_after(recipe.trainings)
+    return recipe.aggregate.refine.rounds_after(recipe.trainings)
 
 
 def refining_steps(epochs: int, num_views: int) -> int:
@@ -92,7 +93,7 @@ def _rounds(recipe: Recipe) -> Decision:
     case = trainings.refining
     usual = case.values["rounds"]
     by_steps = "steps" in case.limits
-    epochs, settings = recipe.refining_epochs, recipe.aggregate
+    epochs, settings = recipe.refining_epochs, recipe.aggregate.refine
     return Decision(
         stage=STAGE,
         topic="rounds of refining",
@@ -101,7 +102,7 @@ def _rounds(recipe: Recipe) -> Decision:
         unit="steps of a training" if by_steps else "times a training shows each photograph",
         reason=case.reason if number == usual else f"asked for; the default after such trainings is {usual}",
         row=case.row,
-        forced=settings.refine_rounds is not None or settings.refine_epochs is not None,
+        forced=settings != Refine(),
     )
 
 

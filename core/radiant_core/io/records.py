@@ -1,36 +1,137 @@
 """What flows between stages, as files: arrays as safetensors, plans as JSON. Once per stage.
 
 Every file says in its metadata which schema and version it is. No pickle, nothing lost; reading
-takes no more memory than the file is long.
+takes no more memory than the file is long. In plan.json stand, of waypoints, what their heights
+count from and how high they may be flown, and the groups of machines that train together:
+
+    "heights_from": "takeoff"            # or a list, one a waypoint, where they differ
+    "height_limits_m": [null, 150.0]     # left out: the usual ones
+
+Plans of earlier versions say `absolute` and `altitude_known` instead, of all waypoints together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, TypeAdapter, ValidationError
 
 from radiant_core.cameras import Cameras
+from radiant_core.choices import HeightFrom
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.array_file import VERSION, load_arrays, name_file_in_errors, require_schema, save_arrays
 from radiant_core.io.colmap.records import is_image_name
-from radiant_core.io.height_record import heights_record, with_recorded_heights
 from radiant_core.io.plan_content import GROUND_KEY
-from radiant_core.io.plan_groups import GROUPS_KEY, groups_of_record, groups_record
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.strict import Strict, problem_sentence
 from radiant_core.numerics import check_array
 from radiant_core.plan.counts.slack_curve import SlackPoint
+from radiant_core.plan.heights import HEIGHT_KINDS, USUAL_LIMIT_M, HeightLimits, height_codes
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.system import require_id
-from radiant_core.plan.together.groups import GroupPlan
-from radiant_core.plan.waypoints import Waypoints
+from radiant_core.plan.together.groups import GroupLevel, GroupPlan
+from radiant_core.plan.waypoints import HIGHEST_FLIGHT_M, Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.splats import TENSORS, Splats
+
+HEIGHTS_FROM, LIMITS = "heights_from", "height_limits_m"
+
+
+def heights_record(waypoints: Waypoints) -> dict[str, Any]:
+    """The entries above, for the record of the waypoints."""
+    kinds = waypoints.counts_from
+    named = [HEIGHT_KINDS[code] for code in kinds.tolist()] if isinstance(kinds, np.ndarray) else kinds
+    limits = waypoints.limits
+    return {HEIGHTS_FROM: named, **({} if limits == HeightLimits() else {LIMITS: [limits.lowest_m, limits.highest_m]})}
+
+
+def with_recorded_heights(waypoints: Waypoints, record: Mapping[str, Any]) -> Waypoints:
+    """The waypoints with what their record says of heights; BadInput where it says something
+    else."""
+    limits = record.get(LIMITS)
+    if limits is not None:
+        if not (isinstance(limits, list) and len(limits) == 2 and all(bound is None or _is_number(bound) for bound in limits)):
+            raise BadInput(f"{LIMITS} is {str(limits)[:40]}, expected the lowest height, or null, and the highest.")
+        lowest_m, highest_m = limits
+        waypoints = replace(waypoints, limits=HeightLimits(lowest_m=lowest_m, highest_m=USUAL_LIMIT_M if highest_m is None else highest_m))
+    if HEIGHTS_FROM not in record:
+        return _of_earlier(waypoints, record)
+    named = record[HEIGHTS_FROM]
+    if isinstance(named, str):
+        return replace(waypoints, counts_from=_kind(named))
+    if not isinstance(named, list):
+        raise BadInput(f"{HEIGHTS_FROM} is {str(named)[:40]}, expected one of {', '.join(HEIGHT_KINDS)}, or one a waypoint.")
+    return replace(waypoints, counts_from=height_codes([_kind(name) for name in named]))
+
+
+def _of_earlier(waypoints: Waypoints, record: Mapping[str, Any]) -> Waypoints:
+    if record.get("altitude_known") is False:
+        if waypoints.ground_m is None:
+            return replace(waypoints, counts_from="unknown")
+        # Heights above the ground of a run whose altitudes counted from nothing.
+        places = waypoints.lat_lon_alt - np.array([0.0, 0.0, waypoints.ground_m])
+        return replace(waypoints, lat_lon_alt=places, ground_m=0.0)
+    absolute = record.get("absolute") is True or float(waypoints.lat_lon_alt[:, 2].max()) > HIGHEST_FLIGHT_M
+    return replace(waypoints, counts_from="absolute" if absolute or waypoints.ground_m else "takeoff")
+
+
+def _kind(name: Any) -> HeightFrom:
+    for kind in HEIGHT_KINDS:
+        if name == kind:
+            return kind
+    raise BadInput(f"{HEIGHTS_FROM} has {str(name)[:40]!r}, expected one of {', '.join(HEIGHT_KINDS)}.")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+GROUPS_KEY = "together"
+_MAX_GROUPS = 100_000
+_Seconds = Annotated[float, Field(ge=0, le=1e12)]
+_Count = Annotated[int, Field(ge=1, le=10**9)]
+
+
+class _Group(Strict):
+    level: GroupLevel
+    edges: Annotated[list[str], Field(min_length=1)]
+    views: dict[str, _Count]
+    num_photographs: _Count
+    num_steps: _Count
+    step_s: _Seconds
+    start_s: _Seconds
+    end_s: _Seconds
+    overlaps: bool
+
+    def build(self) -> GroupPlan:
+        return GroupPlan(**{**self.model_dump(), "edges": tuple(self.edges)})
+
+
+def groups_record(groups: Sequence[GroupPlan]) -> list[dict[str, Any]]:
+    """The groups as JSON's values."""
+    return [{**vars(group), "edges": list(group.edges), "views": dict(group.views)} for group in groups]
+
+
+def groups_of_record(record: Any) -> tuple[GroupPlan, ...]:
+    """What `groups_record` was made of; BadInput for anything else, and for a device in two
+    groups."""
+    try:
+        groups = TypeAdapter(Annotated[list[_Group], Field(max_length=_MAX_GROUPS)]).validate_python(record)
+    except ValidationError as error:
+        raise BadInput(problem_sentence(error, "plan", GROUPS_KEY)) from error
+    built = tuple(group.build() for group in groups)
+    names = [device for group in built for device in group.views]
+    twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
+    if twice is not None:
+        raise BadInput(f"device {twice!r} trains in two groups: plan again.")
+    return built
+
 
 MAX_PLAN_BYTES = 512 * 2**20
 """A plan of a million waypoints takes some 150 MB."""

@@ -3,8 +3,7 @@
     paper          Alg. 1 on power weights with a fixed d, stopped where it cycles (`paper_arp`)
     paper-halved   the same, d halved whenever an edge's border turns back
     paper-literal  Alg. 1 as written, with its orphans (`other_splits`)
-    even, voronoi  as `region_plan`
-    kd             as `other_splits`
+    even           as `region_plan`
     content        halves of equal content (as LoBE-style splits) where it is given by camera
 
 Each runs once per comparison; the iterated ones O(C E) per iteration.
@@ -22,7 +21,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
 from radiant_core.plan.counts.deadline import EdgeTable, edge_tables, fastest_counts
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.regions.other_splits import Indices, half_planes, kd_split, move_borders
+from radiant_core.plan.regions.other_splits import Indices, half_planes, move_borders
 from radiant_core.plan.regions.paper_arp import estimated_times_s
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.power_diagram import assign
@@ -82,10 +81,8 @@ def compare(
     even = plan_regions(positions, system, method="even")
     assert isinstance(even, CloudPlan), "the capacity was checked"
     dealt.append(("even", even.edge_of_camera, ()))
-    dealt.append(("voronoi", assign(local, sites, np.zeros(len(sites))), ()))
-    dealt.append(("kd", kd_split(local, sites, np.ones(len(local))), ()))
     if weights is not None:
-        dealt.append(("content", kd_split(local, sites, weights), ()))
+        dealt.append(("content", halve_by_weight(local, sites, weights), ()))
 
     def times_s(name: str, cells: Indices) -> FloatArray:
         # Devices with equal shares are not done as soon as those whose shares fit them.
@@ -95,6 +92,26 @@ def compare(
         _compare(name, _squared_distance_m2(local, sites, cells), times_s(name, cells), bound_s, cells, history)
         for name, cells, history in dealt
     )
+
+
+def halve_by_weight(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> Indices:
+    """Edge (C,) of each camera: the land is halved across its longer side, edges in order along it,
+    equal weight per edge."""
+    edge_of_camera = np.zeros(len(positions), np.int64)
+    parts = [(np.arange(len(positions)), np.arange(len(sites)))]
+    while parts:
+        cameras, edges = parts.pop()
+        if len(edges) == 1 or not len(cameras):
+            edge_of_camera[cameras] = edges[0]
+            continue
+        axis = int(np.ptp(positions[cameras], axis=0).argmax())
+        cameras = cameras[np.argsort(positions[cameras, axis], kind="stable")]
+        edges = edges[np.argsort(sites[edges, axis], kind="stable")]
+        half = len(edges) // 2
+        filled = np.cumsum(weights[cameras])
+        cut = int(filled.searchsorted(float(filled[-1]) * half / len(edges) * (1 + 1e-12), side="right"))
+        parts += [(cameras[:cut], edges[:half]), (cameras[cut:], edges[half:])]
+    return edge_of_camera
 
 
 def _power_weights(

@@ -21,7 +21,7 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.reporting import EventReporter
 from radiant_app.workers.inbox import load_corrections
 from radiant_app.workers.sources import DELIVERED, has_scene, load_scene_of
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import AggregateConfig, Refine
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3, enu_change
@@ -107,7 +107,9 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
         sites=(),
         weights=(),
         train=cloud_task.train,
-        aggregate=AggregateConfig() if request.num_epochs is None else AggregateConfig(cloud_epochs=request.num_epochs, refine_epochs=0),
+        aggregate=AggregateConfig()
+        if request.num_epochs is None
+        else AggregateConfig(cloud_epochs=request.num_epochs, refine=Refine(epochs=0)),
         backend=resolve_backend("auto"),
         extends=Extension(polygon=tuple((float(x), float(y)) for x, y in polygon), margin_m=margin_m),
     )

@@ -12,6 +12,7 @@ from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, clo
 from radiant_core.aggregate.config import (
     AggregateConfig,
     Join,
+    Refine,
     Trainings,
     aggregate_preset,
 )
@@ -152,8 +153,8 @@ class TestPaperAggregation:
             aggregate_preset("papers")
 
     def test_epochs_and_rounds_follow_from_how_long_how_many_devices_trained(self) -> None:
-        ours, alone = AggregateConfig(), AggregateConfig(refine_epochs=0)
-        asked = AggregateConfig(edge_epochs=7, cloud_epochs=0, refine_rounds=9)
+        ours, alone = AggregateConfig(), AggregateConfig(refine=Refine(epochs=0))
+        asked = AggregateConfig(edge_epochs=7, cloud_epochs=0, refine=Refine(rounds=9))
         long, many, few = (10, 5), (2, 2), (1, 0)
         for shows, steps, num_devices, epochs, rounds in (
             (HARDLY_SHOWN - 0.1, 500, FEW_DEVICES, few, 5),
@@ -175,12 +176,12 @@ class TestPaperAggregation:
             trainings = Trainings(num_devices=num_devices, photograph_shows=shows, num_steps=steps)
             joining = ours.joining_after(trainings)
             assert (joining.at_edge.num_epochs, joining.at_cloud.num_epochs) == epochs, trainings
-            assert ours.rounds_after(trainings) == rounds and asked.rounds_after(trainings) == 9, trainings
+            assert ours.refine.rounds_after(trainings) == rounds and asked.refine.rounds_after(trainings) == 9, trainings
             # Few steps over few photographs leave less to fit.
             of_few = epochs == few and shows >= OFTEN_SHOWN
-            assert ours.refining_epochs_after(trainings) == (5 if of_few else 8), trainings
-            assert replace(ours, refine_epochs=3).refining_epochs_after(trainings) == 3
-            assert alone.refining_epochs_after(trainings) == 0 and ours.refines and not alone.refines
+            assert ours.refine.epochs_after(trainings) == (5 if of_few else 8), trainings
+            assert Refine(epochs=3).epochs_after(trainings) == 3
+            assert alone.refine.epochs_after(trainings) == 0 and ours.refine.is_asked_for and not alone.refine.is_asked_for
             # What was joined by the settings as they are keeps its key.
             assert asked.joining_after(trainings) == asked and (epochs != long or joining == ours)
             assert all(config.joining_after(trainings) == config for config in (alone, aggregate_preset("paper")))
@@ -188,9 +189,11 @@ class TestPaperAggregation:
         paper = aggregate_preset("paper")
         assert (paper.at_edge.num_epochs, paper.at_cloud.num_epochs) == (10, 10)
 
-    @pytest.mark.parametrize("given", [{"refine_epochs": 0, "cloud_epochs": 0}, {"preset": "paper", "cloud_epochs": 0}, {"edge_epochs": 0}])
+    @pytest.mark.parametrize(
+        "given", [{"refine": Refine(epochs=0), "cloud_epochs": 0}, {"preset": "paper", "cloud_epochs": 0}, {"edge_epochs": 0}]
+    )
     def test_no_epochs_without_devices_that_refine_are_refused(self, given: dict) -> None:
-        with pytest.raises(BadInput, match=r"give 1 or more, or refine_epochs|edge_epochs .* at least 1"):
+        with pytest.raises(BadInput, match=r"give 1 or more, or epochs of refining|edge_epochs .* at least 1"):
             AggregateConfig(**given)
         with pytest.raises(BadInput, match="shows its views 0 times"):
             Join(preset="paper", num_epochs=0)

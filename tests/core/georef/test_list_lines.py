@@ -10,9 +10,8 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.georef.control_list import MAX_POINTS, ControlList, ListedPoint, load_control_list, parse_control_list
-from radiant_core.georef.control_points import ControlPoints, ControlRequest, control_request, parse_control
+from radiant_core.georef.control_points import ControlPoints, ControlRequest, control_request, match_names, parse_control
 from radiant_core.georef.crs import parse_crs
-from radiant_core.georef.listed_names import match_names
 
 SYSTEM = "EPSG:32632"
 PLAIN = (

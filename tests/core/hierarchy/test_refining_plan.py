@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from radiant_core.aggregate.averaging import average_bytes
+from radiant_core.aggregate.config import Refine
 from radiant_core.hierarchy.join_limits import UNREFINED_COSTS
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.refining_plan import choose_rounds, plan_refining
@@ -32,7 +33,7 @@ def test_without_limits_all_devices_in_the_scene_refine(recipe: Recipe) -> None:
     plan = plan_refining(recipe, {**PRESENT, "edge-3": []}, NUM_SPLATS)
     assert {edge: list(devices) for edge, devices in plan.devices.items()} == PRESENT
     assert [decision.topic for decision in plan.decisions] == ["rounds of refining"]
-    idle = replace(recipe, aggregate=replace(recipe.aggregate, refine_epochs=0))
+    idle = replace(recipe, aggregate=replace(recipe.aggregate, refine=Refine(epochs=0)))
     assert not plan_refining(idle, PRESENT, NUM_SPLATS).devices and not plan_refining(idle, PRESENT, NUM_SPLATS).decisions
 
 

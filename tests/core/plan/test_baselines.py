@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.baselines import compare
+from radiant_core.plan.baselines import compare, halve_by_weight
 from radiant_core.plan.counts.deadline import edge_tables, fastest_counts
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.regions.other_splits import kd_split
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
@@ -25,7 +24,7 @@ def test_only_exact_is_at_the_bound_and_nobody_below(seed: int) -> None:
     rng = np.random.default_rng(seed)
     system = linear_system(rng.random((5, 2)) * [500.0, 250.0], rng.uniform(1, 4, 5))
     rows = {row.method: row for row in compare(LAYOUTS["uniform"](rng, 200), system, max_iterations=60)}
-    assert set(rows) == {"exact", "paper", "paper-halved", "paper-literal", "even", "voronoi", "kd"}, "nobody said what images hold"
+    assert set(rows) == {"exact", "paper", "paper-halved", "paper-literal", "even"}, "nobody said what images hold"
     assert rows["exact"].over_bound == 1.0
     for row in rows.values():
         assert row.over_bound >= 1.0 or row.num_orphans > 0
@@ -47,7 +46,7 @@ def test_moving_half_planes_leaves_cameras_in_no_region() -> None:
 def test_halves_have_equal_counts_and_keep_apart(num_edges: int) -> None:
     rng = np.random.default_rng(num_edges)
     positions = rng.random((160 * num_edges, 2)) * [500.0, 250.0]
-    cells = kd_split(positions, rng.random((num_edges, 2)) * [500.0, 250.0], np.ones(len(positions)))
+    cells = halve_by_weight(positions, rng.random((num_edges, 2)) * [500.0, 250.0], np.ones(len(positions)))
     counts = np.bincount(cells, minlength=num_edges)
     assert np.ptp(counts) <= 4  # a camera per level of the tree
     boxes = [(positions[cells == e].min(axis=0), positions[cells == e].max(axis=0)) for e in range(num_edges)]
@@ -57,23 +56,22 @@ def test_halves_have_equal_counts_and_keep_apart(num_edges: int) -> None:
 
 
 @for_seeds(5)
-def test_a_run_can_follow_the_splits_that_are_compared(seed: int) -> None:
+def test_a_run_can_follow_alg_1_as_it_is_compared(seed: int) -> None:
     rng = np.random.default_rng(seed)
     positions = LAYOUTS["uniform"](rng, 150)
     system = linear_system(rng.random((4, 2)) * [500.0, 250.0], rng.uniform(1, 4, 4))
     paper = PaperConfig(boundary_step=0.03, threshold=0.2, max_iterations=40)
     rows = {row.method: row for row in compare(positions, system, paper=paper, max_iterations=40)}
-    for method in ("kd", "paper-literal"):
-        plan = plan_regions(positions, system, method=method, paper=paper)
-        assert isinstance(plan, CloudPlan) and plan.method == method
-        owned = rows[method].edge_of_camera >= 0
-        np.testing.assert_array_equal(plan.edge_of_camera[owned], rows[method].edge_of_camera[owned])
-        # Nobody is left out of a run: an orphan goes to the nearest edge.
-        sites = np.array([edge.position for edge in system.edges])
-        nearest = np.sum((positions[:, None] - sites) ** 2, axis=2).argmin(axis=1)
-        np.testing.assert_array_equal(plan.edge_of_camera[~owned], nearest[~owned])
-        np.testing.assert_allclose(plan.sites, [positions[plan.edge_of_camera == edge].mean(axis=0) for edge in range(4)], atol=1e-9)
-        assert len(split_edges(positions, plan, system)) == 4
+    plan = plan_regions(positions, system, method="paper-literal", paper=paper)
+    assert isinstance(plan, CloudPlan) and plan.method == "paper-literal"
+    owned = rows["paper-literal"].edge_of_camera >= 0
+    np.testing.assert_array_equal(plan.edge_of_camera[owned], rows["paper-literal"].edge_of_camera[owned])
+    # Nobody is left out of a run: an orphan goes to the nearest edge.
+    sites = np.array([edge.position for edge in system.edges])
+    nearest = np.sum((positions[:, None] - sites) ** 2, axis=2).argmin(axis=1)
+    np.testing.assert_array_equal(plan.edge_of_camera[~owned], nearest[~owned])
+    np.testing.assert_allclose(plan.sites, [positions[plan.edge_of_camera == edge].mean(axis=0) for edge in range(4)], atol=1e-9)
+    assert len(split_edges(positions, plan, system)) == 4
 
 
 def test_d_and_the_threshold_decide_where_the_literal_loop_ends() -> None:
@@ -87,16 +85,16 @@ def test_d_and_the_threshold_decide_where_the_literal_loop_ends() -> None:
     # them, which stands on the border.
     assert orphans == {0.01: 0, 0.2: 19}
     wide = plan_regions(positions, system, method="paper-literal", paper=PaperConfig(threshold=100.0))
-    even = plan_regions(positions, system, method="voronoi")
-    assert isinstance(wide, CloudPlan) and isinstance(even, CloudPlan)
-    np.testing.assert_array_equal(wide.edge_of_camera, even.edge_of_camera)
+    assert isinstance(wide, CloudPlan)
+    nearest = [abs(positions[:, 0] - x).tolist() for x in (25.0, 75.0)]
+    np.testing.assert_array_equal(wide.edge_of_camera, np.argmin(nearest, axis=0))
 
 
 def test_content_is_shared_instead_of_cameras() -> None:
     rng = np.random.default_rng(0)
     positions = rng.random((2000, 2)) * [2.0, 1.0]
     content = np.where(positions[:, 0] < 1.0, 9.0, 1.0)
-    cells = kd_split(positions, np.array([[0.4, 0.5], [1.6, 0.5]]), content)
+    cells = halve_by_weight(positions, np.array([[0.4, 0.5], [1.6, 0.5]]), content)
     shares = np.bincount(cells, weights=content)
     assert shares[0] == pytest.approx(shares[1], rel=0.01)
     assert np.bincount(cells)[0] < 700
@@ -176,8 +174,7 @@ def test_every_figure_of_a_row_is_that_of_its_cameras() -> None:
         assert row.history[-1] == pytest.approx(np.abs(times - times.mean()).max() / times.mean(), rel=1e-12)
         if not row.method.startswith("paper"):
             assert len(row.history) == 1
-    np.testing.assert_array_equal(rows["voronoi"].edge_of_camera, np.sum((positions[:, None] - sites) ** 2, axis=2).argmin(axis=1))
-    assert (rows["kd"].edge_of_camera != rows["content"].edge_of_camera).any()
+    assert (halve_by_weight(positions, sites, np.ones(90)) != rows["content"].edge_of_camera).any()
     np.testing.assert_array_equal(np.bincount(rows["even"].edge_of_camera), [30, 30, 30])
     free = compare(positions, linear_system(sites, np.zeros(3)), max_iterations=2)
     assert all((row.makespan_s, row.over_bound, row.history) == (0.0, 1.0, (0.0,)) for row in free)
@@ -204,14 +201,14 @@ def test_cameras_without_room_or_number_are_refused() -> None:
     ):
         with pytest.raises(BadInput, match=told):
             compare(positions, system, content=content)
-    assert len(compare(np.zeros((1, 2)), system, content=[0.0])) == 8
+    assert len(compare(np.zeros((1, 2)), system, content=[0.0])) == 6
 
 
 def test_halves_are_equal_where_shares_are_no_binary_fractions() -> None:
     positions = np.stack([np.arange(10.0), np.zeros(10)], axis=1)
     sites = np.array([[9.0, 0.0], [1.0, 0.0]])
     for weight in (0.1, 0.7, 1e-9, 3.0):
-        np.testing.assert_array_equal(kd_split(positions, sites, np.full(10, weight)), [1] * 5 + [0] * 5)
-    np.testing.assert_array_equal(kd_split(positions[:, ::-1], sites[:, ::-1], np.ones(10)), [1] * 5 + [0] * 5)
+        np.testing.assert_array_equal(halve_by_weight(positions, sites, np.full(10, weight)), [1] * 5 + [0] * 5)
+    np.testing.assert_array_equal(halve_by_weight(positions[:, ::-1], sites[:, ::-1], np.ones(10)), [1] * 5 + [0] * 5)
     three = np.array([[9.0, 0.0], [1.0, 0.0], [5.0, 0.0]])
-    np.testing.assert_array_equal(kd_split(positions[:9], three, np.full(9, 0.1)), [1] * 3 + [2] * 3 + [0] * 3)
+    np.testing.assert_array_equal(halve_by_weight(positions[:9], three, np.full(9, 0.1)), [1] * 3 + [2] * 3 + [0] * 3)

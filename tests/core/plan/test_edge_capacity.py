@@ -10,10 +10,10 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, save_plan
+from radiant_core.plan.counts.count_raster import capacity_curve, edge_without_devices
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
-from radiant_core.plan.profiles.edge_capacity import capacity_curve, edge_without_devices
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 

@@ -19,6 +19,7 @@ from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions import region_plan
 from radiant_core.plan.regions.constraints import PlanConstraints
+from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.power_diagram import assign, polygon_area_m2
 from radiant_core.plan.regions.region_plan import (
     MARGIN,
@@ -37,8 +38,8 @@ from tests.seeds import for_seeds
 from .instances import LAYOUTS, linear_system, random_system
 
 METHODS = get_args(PlanMethod)
-OTHER_CELLS = ("kd", "paper-literal")
-"""Methods whose regions are no power cells: cameras may lie outside of what is drawn."""
+NEAREST = 1e12
+"""A tolerance within which every camera stays at its nearest edge, where that can hold it."""
 
 
 def planned(positions: FloatArray, system: System, method: PlanMethod = "exact") -> CloudPlan:
@@ -96,7 +97,7 @@ def test_regions_partition_the_scene_and_belong_to_edges_with_cameras(layout: st
     assert areas_m2.sum() == pytest.approx(outline_area_m2(positions), rel=1e-9)
     assert (areas_m2[plan.counts == 0] == 0).all()
     assert plan.counts.sum() == 80
-    assert plan.certified or method in OTHER_CELLS
+    assert plan.certified or method == "paper-literal", "its regions are no power cells"
     assert plan.certified == (plan.num_outside == 0)
 
 
@@ -132,9 +133,11 @@ def test_no_method_beats_the_bound_and_times_follow_from_the_counts(seed: int, m
 def test_moving_borders_never_ends_slower_than_it_started(seed: int) -> None:
     rng = np.random.default_rng(seed)
     system, positions = random_system(rng, 4), LAYOUTS["uniform"](rng, 200)
-    exact, paper, voronoi = (planned(positions, system, method) for method in ("exact", "paper", "voronoi"))
-    assert exact.makespan_s <= paper.makespan_s <= voronoi.makespan_s
-    assert paper.history[0] == voronoi.makespan_s
+    exact, paper = (planned(positions, system, method) for method in ("exact", "paper"))
+    nearest = plan_regions(positions, system, tolerance=NEAREST)
+    assert isinstance(nearest, CloudPlan)
+    assert exact.makespan_s <= paper.makespan_s <= nearest.makespan_s
+    assert paper.history[0] == nearest.makespan_s
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -251,9 +254,11 @@ def test_too_little_memory_is_a_result_that_names_the_capacity(method: PlanMetho
     assert "60 of 61 cameras" in result.reason
 
 
-def test_nearest_edges_that_overflow_are_a_result_that_names_the_edge() -> None:
-    positions = np.random.default_rng(9).random((50, 2))
-    result = plan_regions(positions, linear_system(np.array([[0.5, 0.5], [90.0, 0.5]]), np.ones(2), 30), method="voronoi")
+def test_edges_that_overflow_are_a_result_that_names_the_edge() -> None:
+    # Alg. 1 stops before its first move: every camera is at the nearest edge, far from the other.
+    positions, paper = np.random.default_rng(9).random((50, 2)), PaperConfig(threshold=100.0)
+    system = linear_system(np.array([[0.5, 0.5], [90.0, 0.5]]), np.ones(2), 30)
+    result = plan_regions(positions, system, method="paper-literal", paper=paper)
     assert isinstance(result, PlanInfeasible)
     assert "'e0' 50 cameras" in result.reason
 
@@ -303,14 +308,15 @@ def test_an_edge_without_position_is_refused() -> None:
 
 
 def test_an_unknown_method_is_refused() -> None:
-    with pytest.raises(BadInput, match="use one of exact, paper, paper-literal, even, voronoi, kd"):
+    with pytest.raises(BadInput, match="use one of exact, paper, paper-literal, even"):
         plan_regions(np.zeros((3, 2)), linear_system(np.eye(2), np.ones(2)), method="magic")  # pyright: ignore[reportArgumentType]
 
 
 def test_a_tolerance_leaves_nearest_edges_alone_where_they_are_good_enough() -> None:
     rng = np.random.default_rng(12)
     positions, system = LAYOUTS["uniform"](rng, 400), linear_system(np.array([[120.0, 125.0], [380.0, 125.0]]), np.array([1.0, 1.0]))
-    nearest = planned(positions, system, "voronoi")
+    nearest = plan_regions(positions, system, tolerance=NEAREST)
+    assert isinstance(nearest, CloudPlan)
     over = nearest.makespan_s / nearest.lower_bound_s - 1
     assert over > 0
     kept = plan_regions(positions, system, tolerance=2 * over)
@@ -423,9 +429,9 @@ def test_regions_of_given_owners_are_nearest_means_or_as_large_as_what_they_own(
         ({"slack": 1.0, "tolerance": 0.1}, "tolerance and slack are given together: choose one of them"),
         ({"slack": 1.0, "method": "even"}, "slack is for method exact, the method is even: leave one of them out"),
         ({"tolerance": 0.1, "method": "paper"}, "tolerance is for method exact, the method is paper"),
-        ({"method": "best"}, "plan method 'best' is unknown: use one of exact, paper, paper-literal, even, voronoi, kd"),
+        ({"method": "best"}, "plan method 'best' is unknown: use one of exact, paper, paper-literal, even"),
         ({"slack": 1.0}, None),
-        ({"tolerance": 0.0, "method": "voronoi"}, None),
+        ({"tolerance": 0.0, "method": "even"}, None),
     ],
 )
 def test_options_that_exclude_each_other_are_told(options: dict, told: str | None) -> None:
@@ -442,7 +448,7 @@ def test_statuses_follow_the_bound_and_the_threshold() -> None:
     positions = np.stack([np.arange(100.0), np.zeros(100)], axis=1)
     for shift, status in ((0.0, "optimal"), (2.0, "converged"), (3.0, "stopped")):
         system = linear_system(np.array([[24.5 + shift, 0.0], [74.5 + shift, 0.0]]), np.ones(2))
-        plan = plan_regions(positions, system, method="voronoi")
+        plan = plan_regions(positions, system, tolerance=NEAREST)
         assert isinstance(plan, CloudPlan) and plan.status == status and plan.lower_bound_s == 50 and plan.certified
         within = plan_regions(positions, system, tolerance=0.05)
         assert isinstance(within, CloudPlan)
@@ -451,12 +457,12 @@ def test_statuses_follow_the_bound_and_the_threshold() -> None:
     assert isinstance(wide, CloudPlan) and (wide.status, wide.slack, wide.counts.tolist()) == ("slack", 1.1, [45, 55])
 
 
-def test_a_fixed_slack_of_one_and_memory_that_forbids_voronoi_are_said() -> None:
+def test_a_fixed_slack_of_one_and_memory_that_forbids_a_method_are_said() -> None:
     positions = np.stack([np.arange(10.0), np.zeros(10)], axis=1)
     system = linear_system(np.array([[0.0, 0.0], [2.0, 0.0]]), np.ones(2), 6)
-    found = plan_regions(positions, system, method="voronoi")
+    found = plan_regions(positions, system, method="paper-literal", paper=PaperConfig(threshold=100.0))
     assert isinstance(found, PlanInfeasible) and (found.capacity, found.num_cameras, found.status) == (12, 10, "infeasible")
-    assert found.reason == "method voronoi gives edge 'e1' 8 cameras, it can hold 6: use method exact."
+    assert found.reason == "method paper-literal gives edge 'e1' 8 cameras, it can hold 6: use method exact."
     few = plan_regions(positions, linear_system(np.eye(2), np.ones(2), 4))
     assert isinstance(few, PlanInfeasible)
     assert few.reason == "the devices can hold 8 of 10 cameras: raise max_cameras or add devices." and few.capacity == 8

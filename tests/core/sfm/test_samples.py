@@ -16,10 +16,10 @@ import tifffile
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.listing import list_photographs
 from radiant_core.io.photos.samples import SampleKind, SampleRange, Stretch, choose_stretches, sample_kind, stretched
+from radiant_core.sfm.attempts import no_model
 from radiant_core.sfm.colmap.database import extract_features, match_pairs
 from radiant_core.sfm.colmap.workspace import list_usable, warn_of_unused
 from radiant_core.sfm.config import SfmConfig
-from radiant_core.sfm.no_model import no_model
 from radiant_core.sfm.readable import readable_folder
 from radiant_core.sfm.reconstruct import reconstruct
 

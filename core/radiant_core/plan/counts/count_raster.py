@@ -5,7 +5,8 @@
 
 A camera goes to the edge whose region it lies in, wherever its cell was reckoned to be; counts miss
 the planned ones by what cells at borders hold, the raster's price (docs/experiments/privacy.md).
-Edges with full devices hand their nearest cameras to a neighbour. Once per plan.
+Edges with full devices hand their nearest cameras to a neighbour. Of its devices an edge sends one
+time curve and a capacity, nothing else. Once per plan.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from radiant_core.plan.counts.wide_deadline import fastest_edge_counts, times_of
 from radiant_core.plan.devices.even_shares import even_times_s
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.profiles.cost_curves import CostCurve
-from radiant_core.plan.profiles.edge_capacity import edge_without_devices
+from radiant_core.plan.profiles.curve_fit import FittedCurve, fit_curve
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.power_diagram import cell_polygons, rectangle
 from radiant_core.plan.regions.region_plan import MARGIN, PlanInfeasible, plan_regions
@@ -172,4 +173,40 @@ def _without_devices(edge: Edge, num_cameras: int) -> Edge:
         devices=(),
         time_s=CostCurve(),
         max_cameras=0,
+    )
+
+
+_SAMPLES = 32
+
+
+def capacity_curve(edge: Edge, num_cameras: int) -> FittedCurve:
+    """T^m of an edge fitted by one curve over 1..`num_cameras` cameras; `worst_error` is the
+    largest relative error at its samples.
+
+    T^m has a bend wherever a device comes in or is full, which one curve smooths. Raises BadInput
+    where the edge can hold no camera.
+    """
+    table = edge_table(edge, num_cameras)
+    if table.capacity < 1:
+        raise BadInput(f"edge {edge.id!r} can hold {table.capacity} cameras: give its devices room for at least one.")
+    counts = np.unique(np.round(np.geomspace(1, table.capacity, _SAMPLES)).astype(np.int64))
+    times_s = table.edge_time_s[counts]
+    if times_s.min() <= 0:
+        raise BadInput(f"edge {edge.id!r} needs no time for {int(counts[times_s.argmin()])} cameras: profile its devices first.")
+    return fit_curve(counts, times_s)
+
+
+def edge_without_devices(edge: Edge, num_cameras: int) -> Edge:
+    """The same edge as the cloud may receive it: place, fitted curve and how many cameras it holds
+    (None: at least `num_cameras`)."""
+    capacity = edge_table(edge, num_cameras).capacity
+    return Edge(
+        id=edge.id,
+        position=edge.position,
+        lat_lon_deg=edge.lat_lon_deg,
+        aggregate_s=CostCurve(),
+        uplink_bytes_per_s=edge.uplink_bytes_per_s,
+        devices=(),
+        time_s=capacity_curve(edge, num_cameras).curve,
+        max_cameras=capacity if capacity < num_cameras else None,
     )

@@ -1,8 +1,6 @@
-"""Splits of cameras among edges that are no power cells, to compare with. Once per plan.
+"""Alg. 1 as written (`paper-literal`). Once per plan, O(C E) per iteration.
 
-    kd             halves of equal counts across the longer side, edges halved along with them
-    paper-literal  Alg. 1 as written: every border of an edge's Voronoi cell moves by d along its
-                   normal, whatever the neighbour does; O(C E) per iteration
+Every border of an edge's Voronoi cell moves by d along its normal, whatever the neighbour does.
 
 Half-planes that move alone may overlap, where the first edge has the camera, or leave cameras in no
 region: orphans.
@@ -21,26 +19,6 @@ from radiant_core.plan.regions.paper_arp import estimated_times_s
 
 Indices = NDArray[np.int64]
 NOBODY = -1
-
-
-def kd_split(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> Indices:
-    """Edge (C,) of each camera: the land is halved across its longer side, edges in order along it,
-    equal weight per edge."""
-    edge_of_camera = np.zeros(len(positions), np.int64)
-    parts = [(np.arange(len(positions)), np.arange(len(sites)))]
-    while parts:
-        cameras, edges = parts.pop()
-        if len(edges) == 1 or not len(cameras):
-            edge_of_camera[cameras] = edges[0]
-            continue
-        axis = int(np.ptp(positions[cameras], axis=0).argmax())
-        cameras = cameras[np.argsort(positions[cameras, axis], kind="stable")]
-        edges = edges[np.argsort(sites[edges, axis], kind="stable")]
-        half = len(edges) // 2
-        filled = np.cumsum(weights[cameras])
-        cut = int(filled.searchsorted(float(filled[-1]) * half / len(edges) * (1 + 1e-12), side="right"))
-        parts += [(cameras[:cut], edges[:half]), (cameras[cut:], edges[half:])]
-    return edge_of_camera
 
 
 def half_planes(

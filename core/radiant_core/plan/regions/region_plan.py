@@ -8,13 +8,11 @@ covering regions at the geography-free lower bound.
 
     exact          counts with the smallest makespan: optimal in this model, with a certificate
     even           as many cameras for every device as the memory limits allow (`even_shares`)
-    voronoi        every camera to its nearest edge
     paper          Alg. 1, moving borders by a fixed step (`paper_arp`)
     paper-literal  Alg. 1 as written, a camera in no region to the nearest edge (`other_splits`)
-    kd             halves of equal counts (`other_splits`)
 
-The regions of the last two are no power cells: they are drawn and joined by the power diagram of
-their cameras' means with their counts, and the plan says how many cameras lie outside of it.
+The regions of the last are no power cells: they are drawn and joined by the power diagram of their
+cameras' means with their counts, and the plan says how many cameras lie outside of it.
 
 Runs once per plan.
 """
@@ -38,7 +36,7 @@ from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.regions.capped_transport import deal_within
 from radiant_core.plan.regions.constraints import PlanConstraints, Reference, deal_around
 from radiant_core.plan.regions.edge_sites import require_within_reach, separate_sites
-from radiant_core.plan.regions.other_splits import half_planes, kd_split
+from radiant_core.plan.regions.other_splits import half_planes
 from radiant_core.plan.regions.paper_arp import paper_regions
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.power_diagram import assign, bounds, cell_polygons, rectangle
@@ -137,8 +135,8 @@ def plan_regions(  # noqa: PLR0913
         partition = nearest
     elif method == "exact":
         partition = _exact_partition(plane, fastest.counts, start)
-    elif method in ("kd", "paper-literal"):
-        plane, partition = _free_partition(method, plane, system, paper, float(fastest.edge_time_s.max()))
+    elif method == "paper-literal":
+        plane, partition = _literal_partition(plane, system, paper, float(fastest.edge_time_s.max()))
     else:
         partition = _partition(method, plane, system, paper)
     counts = np.bincount(partition.edge_of_camera, minlength=len(system.edges))
@@ -292,29 +290,22 @@ def _nearest_if_good(plane: _Plane, system: System, fastest: FastestCounts, tole
 
 
 def _partition(method: PlanMethod, plane: _Plane, system: System, paper: PaperConfig) -> _Partition:
-    num_cameras, num_edges = len(plane.cameras), len(plane.sites)
+    num_cameras = len(plane.cameras)
     if method == "paper":
         tables = edge_tables(system, num_cameras)
         regions = paper_regions(plane.cameras, plane.sites, tables, paper.boundary_step * plane.side_m, paper)
         return _Partition(
             edge_of_camera=regions.edge_of_camera, weights=regions.weights, history=regions.history, converged=regions.converged
         )
-    if method == "voronoi":
-        weights = np.zeros(num_edges)
-        return _Partition(edge_of_camera=assign(plane.cameras, plane.sites, weights), weights=weights)
     counts = even_edge_counts(system, num_cameras)
     return replace(_exact_partition(plane, counts, None), edge_time_s=even_times_s(system, counts))
 
 
-def _free_partition(method: PlanMethod, plane: _Plane, system: System, paper: PaperConfig, bound_s: float) -> tuple[_Plane, _Partition]:
-    """Cells of another form, and the plane whose sites are their cameras' means."""
-    if method == "kd":
-        edge_of_camera = kd_split(plane.cameras, plane.sites, np.ones(len(plane.cameras)))
-    else:
-        tables, step_m = edge_tables(system, len(plane.cameras)), paper.boundary_step * plane.side_m
-        cells, _ = half_planes(plane.cameras, plane.sites, tables, step_m, paper.threshold * bound_s, paper.max_iterations)
-        nearest = assign(plane.cameras, plane.sites, np.zeros(len(plane.sites)))
-        edge_of_camera = np.where(cells < 0, nearest, cells)
+def _literal_partition(plane: _Plane, system: System, paper: PaperConfig, bound_s: float) -> tuple[_Plane, _Partition]:
+    """The cells of Alg. 1 as written, and the plane whose sites are their cameras' means."""
+    tables, step_m = edge_tables(system, len(plane.cameras)), paper.boundary_step * plane.side_m
+    cells, _ = half_planes(plane.cameras, plane.sites, tables, step_m, paper.threshold * bound_s, paper.max_iterations)
+    edge_of_camera = np.where(cells < 0, assign(plane.cameras, plane.sites, np.zeros(len(plane.sites))), cells)
     placed = _plane(plane.cameras + plane.centre, _at_means(plane.cameras + plane.centre, edge_of_camera, system))
     counts = np.bincount(edge_of_camera, minlength=len(system.edges))
     weights = _exact_partition(placed, counts, None).weights
