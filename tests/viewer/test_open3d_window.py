@@ -111,8 +111,8 @@ def test_layers_lie_where_our_own_picture_has_them_from_every_side(seed: int, tm
     camera = seen_from(seed).camera(SIZE_WH)
     theirs, ours = red_spots(np.load(path)), red_spots(draw_splat_view([corners()], house(), camera).image)
     pose, K = camera.cam_from_world[0], camera.Ks[0]
-    seen = corners().points @ pose[:3, :3].T + pose[:3, 3]
-    places = seen[:, :2] / seen[:, 2:] * K[0, 0] + K[:2, 2]
+    in_camera = corners().points @ pose[:3, :3].T + pose[:3, 3]
+    places = in_camera[:, :2] / in_camera[:, 2:] * K[0, 0] + K[:2, 2]
     away = np.linalg.norm(theirs[:, None] - places, axis=2).min(axis=1)
     print(f"{len(theirs)} spots, at most {away.max():.2f} px from where the camera has them; ours shows {len(ours)}")
     assert len(theirs) >= 6 and away.max() < NEAR_PX

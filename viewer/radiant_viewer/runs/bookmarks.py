@@ -9,6 +9,7 @@ Title and note are for the page that is sent, and may be left out.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,7 +92,7 @@ class Bookmarks:
         records = {str(key): _record_of(view) for key, view in sorted(views.items())}
         content = {"schema": SCHEMA, "version": VERSION, "views": records}
         try:
-            _File.model_validate(content)
+            _File.model_validate_json(json.dumps(content))
         except ValidationError as error:
             raise BadInput(f"the views cannot be kept: {problem_sentence(error, 'file of views')}.") from error
         write_json(self.path, content)

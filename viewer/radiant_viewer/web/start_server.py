@@ -185,8 +185,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _is_allowed(self) -> bool:
         host = (self.headers.get("Host") or "").rsplit(":", 1)[0]
-        given = parse_qs(urlsplit(self.path).query).get("secret", [""])[0]
-        return host in (HOST, "localhost") and hmac.compare_digest(given.encode(), self.secret.encode())
+        sent_secret = parse_qs(urlsplit(self.path).query).get("secret", [""])[0]
+        return host in (HOST, "localhost") and hmac.compare_digest(sent_secret.encode(), self.secret.encode())
 
     def _send(self, status: HTTPStatus, kind: str, data: bytes, nonce: str = "") -> None:
         self.send_response(status)
