@@ -46,6 +46,7 @@ class PlacesDialog(QDialog):
     def _fill(self) -> None:
         while (item := self._grid.takeAt(0)) is not None:
             if (old := item.widget()) is not None:
+                old.setParent(None)
                 old.deleteLater()
         self.rows = {}
         for row, (number, view) in enumerate(sorted(self._views.items())):
@@ -57,6 +58,7 @@ class PlacesDialog(QDialog):
             note.setTabChangesFocus(True)
             see, remove = QPushButton("See"), QPushButton("Remove")
             see.clicked.connect(partial(self._keys.show_pose, view.pose))
+            see.setObjectName(f"see {number}")
             remove.setObjectName(f"remove {number}")
             remove.clicked.connect(partial(self._remove, number))
             for column, widget in enumerate((QLabel(f"Alt+{number}"), title, note, see, remove)):
