@@ -15,7 +15,7 @@ from radiant_core.errors import BadInput
 
 _INSPECTED_HELP = (
     "Folder of `radiant run`, `train` or `sfm`; a plan, or its folder; for the window and --page also a 3D Gaussian Splatting .ply. "
-    "Without it, a window opens in which photographs, machines and quality are chosen and a run is begun."
+    "Without it, a window or with --web a page, on which photographs, machines and quality are chosen and a run is begun."
 )
 _WEB_HELP = (
     "Serve the inspector read-only to a browser until Ctrl-C. The printed address contains a secret; without it the page stays empty."
@@ -69,12 +69,7 @@ def inspect(
     radiant inspect RUN --page
     """
     if run_folder is None:
-        if typed := typed_options(context):
-            option = next(iter(typed.values()))
-            raise BadInput(f"{option} needs something to show: name a run, a plan or a model, or type 'radiant inspect' alone.")
-        from radiant_app.commands.inspect.window import open_start_window
-
-        raise typer.Exit(open_start_window())
+        return _start(typed_options(context), port)
     if (served := _served_as(typed_options(context))) is not None:
         return _serve(served, run_folder, host, port)
     from radiant_app.commands.inspect.window import Picture, inspect_with_open3d, open_inspector, save_picture
@@ -85,6 +80,22 @@ def inspect(
         raise typer.Exit(open_inspector(run_folder, system, scene))
     typer.echo(save_picture(run_folder, view, screenshot, Picture(size_wh=size_wh_of(size), camera=camera, scene=scene)))
     return None
+
+
+def _start(typed: dict[str, str], port: int | None) -> None:
+    """The start window, or its page by --web; BadInput beside an option of something else."""
+    if "web" in typed and "host" in typed:
+        raise BadInput("a page that begins runs is served on this machine alone: leave out --host, and reach it by 'ssh -L'.")
+    if others := [option for name, option in typed.items() if name not in ({"web", "port"} if "web" in typed else ())]:
+        raise BadInput(f"{others[0]} needs something to show: name a run, a plan or a model, or type 'radiant inspect' alone.")
+    if "web" in typed:
+        from radiant_app.commands.inspect.feeds import start_feeds
+        from radiant_viewer.web.server import PORT, open_start_page
+
+        return open_start_page(start_feeds(), typer.echo, PORT if port is None else port)
+    from radiant_app.commands.inspect.window import open_start_window
+
+    raise typer.Exit(open_start_window())
 
 
 def _served_as(typed: dict[str, str]) -> str | None:

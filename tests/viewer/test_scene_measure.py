@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiant_core.errors import StoreDamaged
+from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.view_pose import ViewPose
-from radiant_viewer.runs.bookmarks import Bookmarks
+from radiant_viewer.runs.bookmarks import Bookmark, Bookmarks
 from radiant_viewer.runs.run_view import RunView, load_run_view
 from radiant_viewer.share.folder import ScenePage, page_of_run, save_single_page
 from radiant_viewer.share.scene_page import PLACES, WEAK, PageScale, overview
@@ -143,6 +143,12 @@ def test_a_bookmark_keeps_what_is_said_of_the_others_and_a_broken_title_is_refus
     bookmarks.path.write_text(json.dumps(record))
     bookmarks.keep(2, pose)
     assert [view.title for view in bookmarks.load().values()] == ["The gate", ""]
+    before = bookmarks.path.read_bytes()
+    with pytest.raises(BadInput, match="cannot be printed"):
+        bookmarks.save({**bookmarks.load(), 2: Bookmark(pose=pose, title="a\u0007bell")})
+    assert bookmarks.path.read_bytes() == before
+    bookmarks.save({2: Bookmark(pose=pose, title="The church", note="Its roof was renewed.")})
+    assert [(number, view.title, view.note) for number, view in bookmarks.load().items()] == [(2, "The church", "Its roof was renewed.")]
     record["views"]["1"]["title"] = "a\u0007bell"
     bookmarks.path.write_text(json.dumps(record))
     with pytest.raises(StoreDamaged, match="cannot be printed"):

@@ -202,7 +202,7 @@ def test_a_lasso_leaves_out_what_lies_in_it_and_nothing_else(done: Any) -> None:
     inside, near = (seen[:, 2] > 0) & (away < 59), (seen[:, 2] > 0) & (away < 61)
     # All lie on one ground, so that none is hidden by another; the lasso is a polygon of pixels.
     assert inside.sum() <= found["chosen"] <= near.sum() and found["chosen"] > 50
-    assert found["left"] == len(means) - found["chosen"] and found["undone"] == len(means)
+    assert found["left"] == len(means) - found["chosen"] and found["undone"] == len(means) and found["redone"] == found["left"]
     assert found["changed_inside"] > 0.5 and found["changed_outside"] < 0.02, found
     (step,) = found["file"]["steps"]
     assert step["kind"] == "selection" and step["keep"] == "outside" and step["strokes"][0]["front"] is not None

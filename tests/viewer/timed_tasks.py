@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 from PySide6.QtCore import QPoint
+from PySide6.QtGui import QKeySequence
+from PySide6.QtTest import QTest
 
 from radiant_viewer.layers.palette import VERMILLION
 from radiant_viewer.window.window import InspectorWindow
@@ -151,8 +153,13 @@ def leave_out_by_lasso(user: User, out: Path) -> dict[str, Any]:
         "middle": [float(columns.mean()), float(rows.mean())],
         "file": json.loads((window.subject.path / "cleaning.json").read_text()),
     }
-    session.undo()
-    return {**result, "undone": len(session.model.splats)}
+    # Keys of no task, which are not counted.
+    sizes = []
+    for keys in ("Ctrl+Z", "Ctrl+Shift+Z", "Ctrl+Z"):
+        QTest.keySequence(window, QKeySequence(keys))
+        sizes.append(len(session.model.splats))
+    undone, redone, _ = sizes
+    return {**result, "undone": undone, "redone": redone}
 
 
 def film_a_border(user: User, out: Path) -> dict[str, Any]:

@@ -13,11 +13,12 @@ import numpy as np
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QAction
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QMessageBox
+from PySide6.QtWidgets import QDialogButtonBox, QMessageBox
 
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
 from radiant_viewer.layers.palette import VERMILLION
+from radiant_viewer.window.places_dialog import PlacesDialog
 from tests.viewer.window_kit import patient
 
 
@@ -318,6 +319,12 @@ def navigation(window):
     window.bookmarks.see(3)
     assert np.allclose(view.pose.position, bookmarked.position) and np.allclose(view.pose.rotation, bookmarked.rotation)
     assert "bookmarked: 3" in said_by(lambda: window.bookmarks.bookmarks.view(4)) and (window.subject.path / "views.json").exists()
+    window.show_places()
+    (dialog,) = [one for one in window.findChildren(PlacesDialog) if one.isVisible()]
+    assert list(dialog.rows) == [3]
+    dialog.rows[3][0].setText("The church")
+    dialog.buttons.button(QDialogButtonBox.StandardButton.Save).click()
+    assert window.bookmarks.bookmarks.load()[3].title == "The church"
     (window.subject.path / "views.json").write_text('{"schema": "radiant.views", "version": 1, "views": {"1": {"position": [0, 0]}}}')
     assert "holds no views" in said_by(window.bookmarks.bookmarks.load)
     view.set_pose(start)

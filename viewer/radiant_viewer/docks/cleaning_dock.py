@@ -110,6 +110,25 @@ class CleaningDock(QDockWidget):
         self.draw.setChecked(False)
         self._add(step)
 
+    @property
+    def is_in_front(self) -> bool:
+        """Whether the panel is seen, not behind another's tab."""
+        return self.isVisible() and not self.visibleRegion().isEmpty()
+
+    def undo_last(self) -> None:
+        """Take the last stroke of lasso or brush back, or else the last step."""
+        if self.select is not None and self.select.tool.strokes:
+            self.select.tool.undo()
+        else:
+            self.undo.click()
+
+    def redo_last(self) -> None:
+        """Make the stroke that was taken back again, or else the step."""
+        if self.select is not None and self.select.tool.has_undone:
+            self.select.tool.redo()
+        else:
+            self.redo.click()
+
     def _add(self, step: CleaningStep) -> None:
         assert self.session is not None
         self.session.add(step)

@@ -24,6 +24,7 @@ from radiant_core.errors import RadiantError
 from radiant_viewer.docks.loss_curve import LossWidget
 from radiant_viewer.host.protocols import StatusHost
 from radiant_viewer.layers.region_layer import duration_text
+from radiant_viewer.runs.progress_summary import progress_summary
 from radiant_viewer.runs.run_feeds import Begun, RunFeeds, RunProgress, StageState
 
 POLL_MS = 1000
@@ -102,7 +103,7 @@ class ProgressDock(QDockWidget):
         self.loss.show_curves(now.losses)
         if now.stages != self._filled:
             self._fill(now.stages)
-        self.summary.setText(_summary(now))
+        self.summary.setText(progress_summary(now))
         self.summary.setToolTip("\n".join(now.warnings))
         self.machines.setText("\n".join(now.machines))
         self.machines.setVisible(bool(now.machines))
@@ -177,24 +178,3 @@ class ProgressDock(QDockWidget):
             bar.setValue(0 if share is None else round(100 * share))
             self.table.setItem(row, 3, QTableWidgetItem(stage.note))
         self.table.scrollToBottom()
-
-
-def _summary(progress: RunProgress) -> str:
-    if not progress.stages:
-        return f"This run is {progress.status or 'of an older version'}; it kept no stream of events."
-    finished_stages = {stage.stage for stage in progress.stages if stage.state in ("done", "skipped")}
-    finished = f"{len(finished_stages)} of {len(progress.stages)} stages that began are finished"
-    if progress.expected:
-        finished = f"{len(finished_stages & set(progress.expected))} of {len(progress.expected)} stages finished"
-    parts = [f"Run {progress.status or 'unknown'}", finished]
-    whole = progress.whole
-    if progress.is_running and whole is not None:
-        parts[1] = f"{whole.phase}, {whole.number} of {whole.num_phases}"
-        if whole.left_s is not None:
-            off = "" if whole.off_percent is None else f" ± {whole.off_percent:.0f} %"
-            parts.append(f"about {duration_text(max(1, round(whole.left_s)))}{off} left")
-    elif progress.is_running and progress.seconds_left is not None:
-        parts.append(f"devices and edges: about {duration_text(max(1, round(progress.seconds_left)))} left")
-    if progress.warnings:
-        parts.append(f"{len(progress.warnings)} warning{'s' * (len(progress.warnings) > 1)}")
-    return "   ·   ".join(parts)

@@ -62,6 +62,11 @@ class SelectTool(QObject):
         """Choose nothing."""
         self._set((), ())
 
+    @property
+    def has_undone(self) -> bool:
+        """Whether a stroke that was taken back can be made again."""
+        return bool(self._undone)
+
     def undo(self) -> None:
         """Take the last stroke back."""
         if self.strokes:

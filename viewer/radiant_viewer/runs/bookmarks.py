@@ -9,6 +9,8 @@ Title and note are for the page that is sent, and may be left out.
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -81,10 +83,19 @@ class Bookmarks:
     def keep(self, number: int, pose: ViewPose) -> str:
         """Bookmark a view in place of the one of its number, title and note included, and return
         what to say; raises as `load` and `write_json`."""
-        views = {**self.load(), number: Bookmark(pose=pose)}
+        self.save({**self.load(), number: Bookmark(pose=pose)})
+        return f"View {number} is bookmarked in {self.path.name}: Alt+{number} brings it back, Shift+V gives it a title."
+
+    def save(self, views: Mapping[int, Bookmark]) -> None:
+        """Keep these views and no others; BadInput where a title or note cannot be kept, and raises
+        as `write_json`."""
         records = {str(key): _record_of(view) for key, view in sorted(views.items())}
-        write_json(self.path, {"schema": SCHEMA, "version": VERSION, "views": records})
-        return f"View {number} is bookmarked in {self.path.name}: Alt+{number} brings it back."
+        content = {"schema": SCHEMA, "version": VERSION, "views": records}
+        try:
+            _File.model_validate_json(json.dumps(content))
+        except ValidationError as error:
+            raise BadInput(f"the views cannot be kept: {problem_sentence(error, 'file of views')}.") from error
+        write_json(self.path, content)
 
     def view(self, number: int) -> ViewPose:
         """A bookmarked view; BadInput where there is none of that number."""

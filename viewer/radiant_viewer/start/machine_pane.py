@@ -7,7 +7,6 @@ then it is written where the line names it.
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +27,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from radiant_core.errors import BadInput
-from radiant_core.io.run_store import write_atomic
+from radiant_viewer.start.choices import COLUMNS, FILE, FIRST_ROW, FORM, HERE, KIND, NO_KIND, ListedMachines, list_path
 
-HERE, FILE, FORM = "This machine alone", "Machines of a system file", "Machines listed here"
-COLUMNS = ("Site", "Machine", "Number", "Kind", "Memory GB", "Mbit/s")
-KIND = COLUMNS.index("Kind")
-FIRST_ROW = ("office", "computer", "2", "", "16", "1000")
-NO_KIND = "not measured"
 SETTLE_MS = 400
 FORM_PX = 150
 
@@ -50,8 +43,7 @@ class MachinePane(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._profiles: dict[str, str] = {}
-        self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
-        self._tried = Path(self._folder.name) / "machines.toml"
+        self._listed = ListedMachines()
         self._is_written = False
         self.kind = QComboBox()
         self.kind.addItems([HERE, FILE, FORM])
@@ -87,7 +79,7 @@ class MachinePane(QWidget):
         """The system file that is chosen or written; None for this machine."""
         if self.kind.currentText() == FILE:
             return Path(self.file.text().strip()) if self.file.text().strip() else None
-        return self._tried if self.kind.currentText() == FORM and self._is_written else None
+        return self._listed.tried if self.kind.currentText() == FORM and self._is_written else None
 
     @property
     def system_as(self) -> Path | None:
@@ -107,22 +99,18 @@ class MachinePane(QWidget):
     def propose(self, out: Path) -> None:
         """Keep the form's file beside a result, unless a name was given."""
         if not self.form_file.isModified():
-            self.form_file.setText(str(out.with_name(f"{out.name}_machines.toml")))
+            self.form_file.setText(str(list_path(out)))
             self.form_file.setModified(False)
 
     def keep(self) -> None:
         """Write the form's file where the command line names it; BadInput where another lies
         there."""
-        if self.kind.currentText() != FORM or self.system_as is None:
-            return
-        path, text = self.system_as, self._tried.read_bytes()
-        if path.exists() and path.read_bytes() != text:
-            raise BadInput(f"{path} exists with other machines: choose another name for the list.")
-        write_atomic(path, text)
+        if self.kind.currentText() == FORM and self.system_as is not None:
+            self._listed.keep(self.system_as)
 
     def end(self) -> None:
         """Forget what was not kept."""
-        self._folder.cleanup()
+        self._listed.end()
 
     def add_row(self) -> None:
         """A further line, like the first."""
@@ -191,7 +179,7 @@ class MachinePane(QWidget):
     def _ask_for_file(self) -> None:
         if self.kind.currentText() == FORM and self.form_file.text().strip():
             self._is_written = False
-            self.wants_file.emit(self.rows(), self._tried)
+            self.wants_file.emit(self.rows(), self._listed.tried)
 
     def _ask_name(self) -> None:
         name, _ = QFileDialog.getOpenFileName(self, "System file", str(Path.cwd()), "System files (*.toml)")

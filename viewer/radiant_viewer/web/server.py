@@ -1,4 +1,5 @@
-"""`radiant inspect RUN --web`: the run as a page rendered here, for machines reached by ssh.
+"""`radiant inspect [RUN] --web`: the run as a page rendered here, for machines reached by ssh; without
+one, first the page on which it is begun.
 
 It binds to 127.0.0.1 and requires the secret in its address, 192 fresh random bits. All files come
 from this machine. Needs the `web` extra. Up in 3 s, then some 50 ms per frame.
@@ -17,7 +18,9 @@ from typing import Any
 
 from radiant_core.errors import BadInput
 from radiant_core.extras import require_extra
-from radiant_viewer.runs.run_view import load_run_view
+from radiant_viewer.runs.run_view import RunView, load_run_view
+from radiant_viewer.start.session import StartSession
+from radiant_viewer.start.start_feeds import StartFeeds
 
 PORT = 8765
 LOCAL_HOST = "127.0.0.1"
@@ -40,15 +43,40 @@ def open_page(run_folder: Path, announce: Callable[[str], None], host: str = LOC
     """
     require_web()
     _require_free(host, port)
-    run = load_run_view(run_folder)
+    secret = _fresh_secret()
+    _serve_run(load_run_view(run_folder), host, port, secret, lambda used: announce(address_text(host, used, secret)))
+
+
+def open_start_page(feeds: StartFeeds, announce: Callable[[str], None], port: int = PORT) -> None:
+    """Serve the page on which a run is begun, and then the run that is opened there, at the same
+    port with the same secret, until interrupted. On loopback alone: the page begins commands.
+
+    Raises: BadInput without the extra, or where the port cannot be bound.
+    """
+    require_web()
+    from radiant_viewer.web.start_server import choose_run
+
+    secret, ports = _fresh_secret(), []
+
+    def ready(used: int) -> None:
+        ports.append(used)
+        announce(address_text(LOCAL_HOST, used, secret))
+
+    run = choose_run(StartSession(feeds), port, secret, ready)
+    _serve_run(run, LOCAL_HOST, ports[0], secret, lambda _: announce(f"the page shows {run.folder}"))
+
+
+def _fresh_secret() -> str:
+    return secrets.token_urlsafe(24)
+
+
+def _serve_run(run: RunView, host: str, port: int, secret: str, ready: Callable[[int], None]) -> None:
     # Without this, wslink writes to stdout and trame reads our command line.
     os.environ["WSLINK_READY_MSG"] = ""
     # Closing the browser in the middle of a frame is no error.
     for name in ("aiohttp", "wslink"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     from radiant_viewer.web.page import WebPage
-
-    secret = secrets.token_urlsafe(24)
 
     def on_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         # Closing the browser in the middle of a frame is no error here either.
@@ -58,7 +86,7 @@ def open_page(run_folder: Path, announce: Callable[[str], None], host: str = LOC
     async def serve() -> None:
         asyncio.get_running_loop().set_exception_handler(on_error)
         page = WebPage(run)
-        await page.serve(host, port, secret, lambda used: announce(address_text(host, used, secret)))
+        await page.serve(host, port, secret, ready)
 
     asyncio.run(serve())
 

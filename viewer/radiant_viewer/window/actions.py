@@ -52,6 +52,7 @@ class ActionWindow(Protocol):
     def set_measuring(self, active: bool) -> None: ...
     def set_cropping(self, active: bool) -> None: ...
     def choose_by(self, button: QPushButton) -> None: ...
+    def show_places(self) -> object: ...
 
 
 def add_actions(window: ActionWindow, frame: QMainWindow) -> dict[str, str]:
@@ -95,10 +96,12 @@ def _entries(window: ActionWindow, help_: Callable[[], object]) -> tuple[_Entry,
     docks, planning = window.docks, window.planning
     photo, seams = docks.photo, docks.seams
     actions = None if planning is None else planning.actions
+    undo, redo = _undoing(window)
     return (
         ("Fit", "Fit the scene into both views", "F", window.reset_views),
         *(("", f"See the scene from {word}", f"Ctrl+{key}", partial(window.see_from, side)) for key, side, word in SIDE_KEYS),
         ("", "See again what the 3D view showed before the last move", "V", window.view.go_back),
+        ("Places…", "Titles and notes of the bookmarked views, for the page that is sent", "Shift+V", window.show_places),
         ("Fly to", "See the scene from the selected camera", "Return", window.fly_to_selected if window.run else None),
         ("Worst photograph", "The held-out photograph with the lowest PSNR", "W", photo.show_worst if photo else None),
         *(("", f"The next {word} held-out photograph", f"Alt+{key}", partial(photo.step, by)) for key, by, word in STEPS if photo),
@@ -108,8 +111,8 @@ def _entries(window: ActionWindow, help_: Callable[[], object]) -> tuple[_Entry,
         ("", "Keep what the clicked places measure", "Shift+M", lambda: window.attempt(docks.survey.take)),
         ("", "Take the last place, corner or stroke back", "Backspace", docks.undo_corner),
         ("", "Add the 3D view as a keyframe", "K", docks.fly.add_view),
-        ("", "Undo the last edit of the plan", "Ctrl+Z", actions.undo if actions else None),
-        ("", "Redo it", "Ctrl+Shift+Z", actions.redo if actions else None),
+        ("", "Undo the last edit of the plan, or of the cleaning while its panel is in front", "Ctrl+Z", undo),
+        ("", "Redo it", "Ctrl+Shift+Z", redo),
         ("", "Save the edited plan", "Ctrl+Shift+P", actions.ask_save if actions else None),
         ("", "Save the plan's regions for a GIS, as GeoJSON", "Ctrl+G", actions.ask_regions if actions else None),
         ("Screenshot…", "Save map and 3D view as PNG", "Ctrl+S", window.ask_screenshot),
@@ -117,6 +120,24 @@ def _entries(window: ActionWindow, help_: Callable[[], object]) -> tuple[_Entry,
         ("", "Read the run anew", "F5", window.reload),
         ("", "Show all keys and what the mouse does", "F1", help_),
     )
+
+
+def _undoing(window: ActionWindow) -> tuple[Callable[[], None], Callable[[], None]]:
+    """Undo and redo of the plan while it is edited, of the cleaning while its panel is in front, else
+    of the plan where there is one."""
+    cleaning, planning = window.docks.cleaning, window.planning
+
+    def is_of_plan() -> bool:
+        is_edited = window.edit_button is not None and window.edit_button.isChecked()
+        return planning is not None and (is_edited or not cleaning.is_in_front)
+
+    def undo() -> None:
+        planning.actions.undo() if planning is not None and is_of_plan() else cleaning.undo_last()
+
+    def redo() -> None:
+        planning.actions.redo() if planning is not None and is_of_plan() else cleaning.redo_last()
+
+    return undo, redo
 
 
 def _choosing(window: ActionWindow) -> tuple[_Entry, ...]:

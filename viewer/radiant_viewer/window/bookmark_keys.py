@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QWidget
 
 from radiant_viewer.host.protocols import Host
-from radiant_viewer.runs.bookmarks import NUMBERS, Bookmarks
+from radiant_viewer.pictures.view_pose import ViewPose
+from radiant_viewer.runs.bookmarks import NUMBERS, Bookmark, Bookmarks
 
 BOOKMARK_KEYS = {"Ctrl+Alt+1 … 9": "Bookmark the 3D view, beside the run", "Alt+1 … 9": "See a bookmarked view again"}
 
@@ -30,5 +32,20 @@ class BookmarkKeys:
         """See a bookmarked view again."""
         pose = self._host.attempt(lambda: self.bookmarks.view(number))
         if pose is not None:
-            self._host.view.set_pose(pose)
-            self._host.render_views()
+            self.show_pose(pose)
+
+    @property
+    def pose(self) -> ViewPose:
+        """What the 3D view shows."""
+        return self._host.view.pose
+
+    def show_pose(self, pose: ViewPose, _: bool = False) -> None:
+        """Move the 3D view to a pose."""
+        self._host.view.set_pose(pose)
+        self._host.render_views()
+
+    def save(self, views: Mapping[int, Bookmark]) -> None:
+        """Keep these views and no others; raises as `Bookmarks.save`."""
+        self.bookmarks.save(views)
+        number = len(views)
+        self._host.show_status(f"{number} place{'s' * (number != 1)} in {self.bookmarks.path.name}, for the page that is made next")

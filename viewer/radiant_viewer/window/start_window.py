@@ -44,6 +44,7 @@ from radiant_viewer.host.line_process import LineProcess
 from radiant_viewer.layers.themes import THEMES, ThemeName, style_sheet
 from radiant_viewer.runs.run_feeds import Begun
 from radiant_viewer.runs.run_view import is_planned
+from radiant_viewer.start.choices import NOTHING_CHOSEN, QUALITIES, VERBS, forecast_text, result_path
 from radiant_viewer.start.machine_pane import MachinePane
 from radiant_viewer.start.recent import recent_runs
 from radiant_viewer.start.source_pane import PlacesMap, SourcePane
@@ -53,12 +54,6 @@ from radiant_viewer.window.window_size import fit_to_screen
 
 FORM_PX, PROGRESS_PX, RECENT_PX, LINE_PX = 480, 230, 150, 58
 POLL_MS = 300
-QUALITIES = (
-    ("quick", "Quick look", "Is everything there? A third of the usual steps on smaller photographs"),
-    ("usual", "Usual", "What radiant run does without options"),
-    ("fine", "Fine", "Three times the steps at twice the pixels a side: many times as long"),
-)
-VERBS = {"run": "Start", "plan": "Make the plan", "open": "Open"}
 
 
 class StartWindow(QMainWindow):
@@ -166,8 +161,7 @@ class StartWindow(QMainWindow):
             return
         if not self._keep_machines():
             return
-        out = Path(self.out.text().strip())
-        self._opens = out / "plan.json" if self.found_source["next"] == "plan" and out.suffix != ".json" else out
+        self._opens = result_path(self.found_source["next"], Path(self.out.text().strip()))
         self.begun = self._feeds.begin(self.command)
         self.show_status(f"Begun: radiant {join(self.command)}")
         self._poll.start()
@@ -290,8 +284,7 @@ class StartWindow(QMainWindow):
             self.forecast.setText(answer["error"])
         else:
             self.command = tuple(answer["command"])
-            rows = [("Time", answer["time"]), ("Memory", answer["memory"]), ("Quality", answer["quality"]), ("", answer["warning"])]
-            self.forecast.setText("\n".join(f"{name}: {text}".lstrip(": ") for name, text in rows if text))
+            self.forecast.setText(forecast_text(answer))
         self._show_state()
 
     def _on_measured(self, is_well: bool, words: str) -> None:
@@ -314,7 +307,7 @@ class StartWindow(QMainWindow):
         self.measure.setEnabled(not self.measuring.is_running)
         self.measure.setVisible(bool(self._feeds.measuring))
         if not makes:
-            self.forecast.setText("" if step else "Time, memory and quality are shown here once something is chosen.")
+            self.forecast.setText("" if step else NOTHING_CHOSEN)
 
     def _connect(self) -> None:
         self._poll = QTimer(self, interval=POLL_MS)

@@ -45,6 +45,7 @@ from radiant_viewer.window.bookmark_keys import BookmarkKeys
 from radiant_viewer.window.docks import make_docks, place_docks, place_plan_docks, resize_docks
 from radiant_viewer.window.panels import Panels
 from radiant_viewer.window.place_label import PlaceLabel
+from radiant_viewer.window.places_dialog import PlacesDialog
 from radiant_viewer.window.qt_palette import qt_palette
 from radiant_viewer.window.subject import Subject
 from radiant_viewer.window.window_size import fit_to_screen, remember_size
@@ -366,6 +367,11 @@ class InspectorWindow(QMainWindow):
         """Turn lasso or brush on or off, with the panel of the cleaning in front."""
         button.toggle()
         self.raise_dock(self.docks.cleaning if button.isChecked() else None)
+
+    def show_places(self) -> None:
+        """Ask for titles and notes of the bookmarked views."""
+        if (dialog := self.attempt(lambda: PlacesDialog(self, self.bookmarks))) is not None:
+            dialog.open()
 
     def set_cropping(self, active: bool) -> None:
         """Show the box of the cleaning, or take it away."""

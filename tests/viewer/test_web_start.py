@@ -1,0 +1,172 @@
+"""The page on which a run is begun, in Chromium: a folder is chosen, a run begun, stopped, resumed and opened; strangers begin
+nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from radiant_app.cli.app import app
+from radiant_app.commands.run.control import stop_run
+from radiant_app.files.system_file import load_system
+from radiant_core.errors import BadInput
+from radiant_core.io.ply import load_ply
+from tests.viewer.test_start_window import FLIGHT
+from tests.viewer.window_kit import ROOT
+
+DEADLINE_S = 300
+"""For each step, on a busy machine."""
+
+
+@pytest.fixture
+def address() -> Iterator[str]:
+    pytest.importorskip("trame_vuetify", reason="the extra 'web' is not installed")
+    command = [sys.executable, "-m", "tests.viewer.web_start_server"]
+    server = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert server.stdout is not None
+    found = re.search(r"http://127\.0\.0\.1:\d+/\?secret=\S{32}", first := server.stdout.readline())
+    if found is None:
+        server.kill()
+        pytest.fail(f"the page gave no address but {first!r}: {server.communicate()[1]}")
+    yield found.group()
+    server.send_signal(signal.SIGINT)
+    words = server.communicate(timeout=DEADLINE_S)[1]
+    assert not [line for line in words.splitlines() if line and "KeyboardInterrupt" not in line and "Error" in line], words
+
+
+@pytest.fixture
+def photographs(tmp_path: Path) -> Iterator[Path]:
+    pytest.importorskip("pycolmap", reason="the extra 'sfm' is not installed")
+    shutil.copytree(ROOT / "sample_scenes/hamlet/images", tmp_path / "hamlet/images")
+    (tmp_path / "flight.csv").write_text(FLIGHT)
+    yield tmp_path / "hamlet"
+    # A run outlives its page, also of a test that failed.
+    with suppress(BadInput):
+        stop_run(tmp_path / "hamlet_run")
+
+
+def text_once(page: Any, selector: str, text: str) -> str:
+    """The text of an element as soon as it has `text`."""
+    page.locator(selector, has_text=text).first.wait_for()
+    return page.locator(selector).first.inner_text()
+
+
+def without_overflow(page: Any) -> None:
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "the page is wider than the screen"
+
+
+def test_a_run_is_chosen_begun_stopped_resumed_and_opened(browser: Any, address: str, photographs: Path) -> None:
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    page.set_default_timeout(1000 * DEADLINE_S)
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(address)
+    page.locator("#path").fill(str(photographs.parent))
+    page.locator("#browse").click()
+    page.locator("#browser button", has_text="hamlet/").click()
+    page.locator("#browser button.main", has_text=str(photographs)).click()
+    assert text_once(page, "#found", "photographs, ").startswith("12 photographs, ")
+    assert text_once(page, "#forecast", "Time: about ").count("\n") >= 2
+    out = photographs.with_name("hamlet_run")
+    assert page.locator("#line").inner_text() == f"radiant run {photographs} --out {out}"
+    painted = "canvas => canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(level => level > 0)"
+    assert page.locator("#map").evaluate(painted), "no place is on the map"
+
+    page.locator("#machines").select_option("form")
+    text_once(page, "#line", "--system")
+    listed = Path(page.locator("#list").input_value())
+    assert not listed.exists()
+    page.locator("#form input[aria-label='Number']").fill("many")
+    page.locator("#form input[aria-label='Number']").blur()
+    assert "count" in text_once(page, "#refused", "count")
+    page.locator("#form input[aria-label='Number']").fill("2")
+    page.locator("#form input[aria-label='Number']").blur()
+    text_once(page, "#line", "--system")
+
+    page.locator("#start").click()
+    assert text_once(page, "#message", "Begun: ") == f"Begun: radiant run {photographs} --out {out} --system {listed}"
+    (edge,) = load_system(listed).edges
+    assert [device.memory_bytes for device in edge.devices] == [16e9, 16e9]
+    page.locator("#stages td").first.wait_for()
+    page.locator("#stop").click()
+    page.locator("#resume").wait_for()
+    without_overflow(page)
+    page.locator("#resume").click()
+    page.locator("#summary", has_text="Run done").wait_for()
+    assert len(load_ply(out / "scene.ply")) > 100
+    page.locator("#model:visible").wait_for()
+    assert page.locator("#model").evaluate("image => image.decode().then(() => image.naturalWidth)") == 960
+    page.locator("#message", has_text="Finished: ").wait_for()
+    if folder := os.environ.get("RADIANT_PAGE_PICTURES"):
+        page.screenshot(path=str(Path(folder) / "web_start.jpg"), type="jpeg", quality=70)
+    page.set_viewport_size({"width": 390, "height": 844})
+    without_overflow(page)
+    page.locator("#open").click()
+    page.locator("[data-layer='Regions']").first.wait_for(state="attached")
+    assert page.url.startswith(address.split("?", maxsplit=1)[0]) and not errors, errors
+
+
+def test_a_flight_becomes_a_plan_and_an_empty_folder_a_sentence_on_a_phone(browser: Any, address: str, photographs: Path) -> None:
+    page = browser.new_page(viewport={"width": 390, "height": 844})
+    page.set_default_timeout(1000 * DEADLINE_S)
+    page.goto(address)
+    page.locator("#path").fill(str(photographs.parent / "flight.csv"))
+    page.locator("#look").click()
+    text_once(page, "#found", "30 waypoints before capture")
+    text_once(page, "#line", "radiant plan ")
+    without_overflow(page)
+    page.locator("#start").click()
+    text_once(page, "#message", "Finished: ")
+    assert (photographs.parent / "flight_plan/plan.json").is_file()
+    (photographs.parent / "nothing").mkdir()
+    page.locator("#path").fill(str(photographs.parent / "nothing"))
+    page.locator("#look").click()
+    assert "no photographs" in text_once(page, "#found", "no photographs")
+    assert page.locator("#start").is_disabled()
+
+
+def test_strangers_begin_nothing(address: str, photographs: Path) -> None:
+    own, secret = address.split("/?secret=")
+    choice = {"path": str(photographs), "out": str(photographs.parent / "taken"), "quality": "quick"}
+
+    def answer(data: bytes | None, secret_sent: str, host: str = "") -> tuple[int, bytes]:
+        request = urllib.request.Request(f"{own}/?secret={secret_sent}", data, {"Host": host} if host else {})
+        try:
+            with urllib.request.urlopen(request, timeout=DEADLINE_S) as response:
+                return response.status, response.read()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read()
+
+    begin = json.dumps({"begin": choice}).encode()
+    assert answer(begin, "guessed") == answer(None, "guessed") == (404, b"")
+    assert answer(begin, secret, "evil.example") == (404, b"")
+    named = json.dumps({"begin": {**choice, "command": ["run", "/etc"], "quality": "no such"}}).encode()
+    status, refused = answer(named, secret)
+    assert status == 200 and "is no quality" in json.loads(refused)["error"]
+    for wrong in (b"[]", b"{", b"{}", b'{"look": 1, "stop": 1}', b'{"open": "/etc"}', b'{"resume": true}'):
+        status, refused = answer(wrong, secret)
+        assert status == 200 and json.loads(refused)["error"], wrong
+    time.sleep(0.5)
+    assert not (photographs.parent / "taken").exists()
+
+
+@pytest.mark.parametrize("options", [["--web", "--host", "0.0.0.0"], ["--web", "--view", "seams"], ["--port", "1"]])
+def test_the_start_is_on_this_machine_alone(options: list[str]) -> None:
+    result = CliRunner().invoke(app, ["inspect", *options])
+    assert result.exit_code != 0
+    assert re.search("ssh -L|needs something to show", str(result.exception)), result.exception
