@@ -57,6 +57,7 @@ class RenderedView:
         means2d: NDArray[np.float32],
         sums: NDArray[np.float32],
         absgrad: NDArray[np.float32] | None,
+        weights: NDArray[np.float32] | None,
         threads: int,
     ) -> None: ...
     def project_backward(

@@ -286,7 +286,7 @@ def _report(kind: str, record: dict[str, Any], use: Callable[[Any, Path], object
         report = open_report(kind, folder, "gps")
         for reason in report.missing.values():
             assert reason.isprintable()
-        return use(report.found, folder) if report.found else REFUSED
+        return use(report.records, folder) if report.records else REFUSED
 
     files = {"report.json": {"found": {"d": record}, "missing": {"e": "it is late."}}, "task.json": {"devices": ["d", "e"]}}
     return lambda folder: _in_folder(folder, files, "report.json", receive)

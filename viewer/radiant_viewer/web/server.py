@@ -1,5 +1,5 @@
-"""`radiant inspect [RUN] --web`: the run as a page rendered here, for machines reached by ssh; without
-one, first the page on which it is begun.
+"""`radiant inspect [RUN] --web`: the run as a page rendered here, for machines reached by ssh;
+without one, first the page on which it is begun.
 
 It binds to 127.0.0.1 and requires the secret in its address, 192 fresh random bits. All files come
 from this machine. Needs the `web` extra. Up in 3 s, then some 50 ms per frame.

@@ -123,8 +123,8 @@ def _entries(window: ActionWindow, help_: Callable[[], object]) -> tuple[_Entry,
 
 
 def _undoing(window: ActionWindow) -> tuple[Callable[[], None], Callable[[], None]]:
-    """Undo and redo of the plan while it is edited, of the cleaning while its panel is in front, else
-    of the plan where there is one."""
+    """Undo and redo of the plan while it is edited, of the cleaning while its panel is in front,
+    else of the plan where there is one."""
     cleaning, planning = window.docks.cleaning, window.planning
 
     def is_of_plan() -> bool:
