@@ -1,4 +1,4 @@
-"""`radiant inspect --web`: the page on which a run is chosen, begun and watched, until it is opened.
+"""`radiant inspect --web`: the page on which a run is chosen, begun and watched, until it opens.
 
 It listens on loopback alone, whatever is asked, and every request needs the secret of the address:
 who has it can begin commands of this user. Standard library only, one request per connection.
