@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from radiant_app.commands.run.steps import reconstruct_into
 from radiant_app.events import Listener
-from radiant_app.workers.sources import captures_of, load_scored_scene, masks_folder_of, sfm_task
+from radiant_app.workers.sources import captures_of, is_held_out, load_scored_scene, masks_folder_of, sfm_task
 from radiant_core.cameras import Cameras
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.light.captures import Captures
@@ -38,11 +38,13 @@ class Scene:
     """Folder of their masks."""
     captures: Captures = field(default_factory=dict)
     """When they were taken and how exposed, by EXIF."""
+    held_out: frozenset[str] | None = None
+    """Names of photographs that no model is trained on; None: every eighth by name."""
     notes: tuple[str, ...] = ()
     """Sentences about photographs that were left out."""
 
     def __repr__(self) -> str:
-        held_out = int(held_out_mask(self.cameras.names).sum())
+        held_out = len(self.indices("held_out"))
         unit = "m" if self.sfm.frame.kind == "metric" else "units without a scale"
         return f"Scene({len(self.cameras)} photographs, {held_out} held out, {len(self.points):,} points, {unit})"
 
@@ -63,7 +65,8 @@ class Scene:
 
     def indices(self, part: Part = "all") -> NDArray[np.int64]:
         """Rows (K,) of `cameras` that belong to a part."""
-        held_out = held_out_mask(self.cameras.names)
+        names = self.cameras.names
+        held_out = held_out_mask(names) if self.held_out is None else np.isin(names, sorted(self.held_out))
         return np.flatnonzero({"training": ~held_out, "held_out": held_out, "all": np.ones(len(held_out), bool)}[part])
 
     def views(self, part: Part | NDArray[np.int64] = "training", long_side_px: int = 576) -> TrainingViews:
@@ -89,7 +92,9 @@ def load_scene(folder: str | Path) -> Scene:
     """
     folder = Path(folder)
     scene, notes, images = load_scored_scene(folder)
-    return Scene(sfm=scene, images=images, masks=masks_folder_of(folder), captures=captures_of(folder), notes=notes)
+    names = scene.cameras.names
+    held_out = frozenset(name for name, apart in zip(names, is_held_out(folder, names), strict=True) if apart)
+    return Scene(sfm=scene, images=images, masks=masks_folder_of(folder), captures=captures_of(folder), held_out=held_out, notes=notes)
 
 
 def reconstruct(

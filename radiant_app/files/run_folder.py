@@ -205,7 +205,7 @@ def create_folder(out: Path, *, resumable: bool = False, whole: bool = False) ->
     with _remove_after_bad_input(out, new_folders, resumable=resumable):
         try:
             yield
-        except (StageFailed, KeyboardInterrupt):
+        except (StageFailed, StoreDamaged, KeyboardInterrupt):
             if whole:
                 _empty(out, new_folders)
             raise

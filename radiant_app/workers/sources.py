@@ -4,15 +4,19 @@ folder."""
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from radiant_app.workers.folder_kinds import require_photographs
 from radiant_app.workers.tasks import SfmTask
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.split import held_out_mask
 from radiant_core.georef.given_frame import NAME as GIVEN_FRAME
 from radiant_core.georef.given_frame import save_given_frame
 from radiant_core.io.colmap.candidates import find_models, notes_on_project, picture_folder
@@ -342,6 +346,16 @@ def load_scored_scene(folder: Path) -> tuple[SfmScene, tuple[str, ...], Path]:
 
     scene, images = load_scene_of(folder), images_folder_of(folder)
     return *without_repeats(scene, images), images
+
+
+def is_held_out(folder: Path, names: Sequence[str]) -> NDArray[np.bool_]:
+    """Which photographs of a folder's scene no model of it was trained on: those that its
+    metrics.json scores, by the rule where nothing was scored. A model that photographs were added
+    to holds out what it held out before and some of the new ones."""
+    path = folder / "metrics.json"
+    rows = read_json(path).get("images") if path.is_file() else None
+    scored = {row.get("name") for row in rows if isinstance(row, dict)} & set(names) if isinstance(rows, list) else set()
+    return np.isin(names, sorted(scored)) if scored else held_out_mask(names)
 
 
 def images_folder_of(folder: Path) -> Path:

@@ -13,7 +13,9 @@ import tifffile
 from rich.console import Console
 from typer.testing import CliRunner
 
+import radiant
 from radiant_app.cli.app import app
+from radiant_app.commands.model.evaluate import EvaluateRequest, evaluate
 from radiant_app.commands.plan.added_photographs import AddedRequest, extend_by_photographs
 from radiant_app.commands.plan.before_after import BANDS
 from radiant_app.commands.run.demo import sample_scenes_folder
@@ -79,6 +81,11 @@ def test_held_out_photographs_are_scored_before_and_after(extended: tuple[Path, 
     gains = [row["psnr_db"] - row["before_psnr_db"] for row in rows.values()]
     assert np.mean(gains) > 0.2
     assert load_run_view(out).held_out == rows.keys()
+    # By the rule alone drone_0005 would be held out, which was trained on.
+    scene = radiant.load_scene(out)
+    assert {scene.cameras.names[row] for row in scene.indices("held_out")} == rows.keys()
+    scored = evaluate(EvaluateRequest(model=out, long_side_px=160), quiet())
+    assert {row["name"] for row in scored["images"]} == rows.keys()
     page = (out / "report.html").read_text()
     assert all(name in page for name in rows)
 

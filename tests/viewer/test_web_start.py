@@ -158,7 +158,18 @@ def test_strangers_begin_nothing(address: str, photographs: Path) -> None:
     named = json.dumps({"begin": {**choice, "command": ["run", "/etc"], "quality": "no such"}}).encode()
     status, refused = answer(named, secret)
     assert status == 200 and "is no quality" in json.loads(refused)["error"]
-    for wrong in (b"[]", b"{", b"{}", b'{"look": 1, "stop": 1}', b'{"open": "/etc"}', b'{"resume": true}'):
+    listed = json.dumps({"begin": {**choice, "is_listed": True, "system_as": None}}).encode()
+    for wrong in (
+        listed,
+        b'{"folder": "~nobody_of_this_name/x"}',
+        b'{"begin": "all"}',
+        b"[]",
+        b"{",
+        b"{}",
+        b'{"look": 1, "stop": 1}',
+        b'{"open": "/etc"}',
+        b'{"resume": true}',
+    ):
         status, refused = answer(wrong, secret)
         assert status == 200 and json.loads(refused)["error"], wrong
     time.sleep(0.5)

@@ -69,7 +69,8 @@ def refine_with_views(
         scene: cameras and points, with the cameras of the views in their order.
         views: old and new photographs, as they were taken.
         is_new: which of them are new (V,).
-        config: settings of training; `num_steps` of them are taken.
+        config: settings of training; `num_steps` are taken, at most `max_epochs` for each view
+            that is fitted.
         options: renderer and progress.
 
     Returns:
@@ -95,6 +96,8 @@ def refine_with_views(
         config, sh_degree=model.sh_degree, sh_degree_every=0, density=NoDensification(), start_scale=1.0, drop_gaussians="none",
         settle_epochs=None,
     )  # fmt: skip
+    if config.max_epochs is not None:
+        steady = replace(steady, num_steps=min(config.num_steps, config.max_epochs * len(fitted_views)), max_epochs=None)
     result = fit_splats(start, fitted_views, steady, replace(options, frozen=frozen, steps=Steps(end=RATES_END)))
     return RefinedModel(
         splats=_put_back(model, result.splats, near, moved), moved=moved, views=rows, num_steps=result.num_steps, decisions=decisions

@@ -116,7 +116,7 @@ class TrainConfig:
     """Whether photographs are trained on in one canonical light, and renders scored in the light
     that is predicted of those held out; auto: where light differs."""
     num_looks: int = 6
-    """How many times the validation views are rendered in the second half of a run."""
+    """How many times the validation views are rendered once growth and thinning are over."""
     sky: bool = True
     """Whether Gaussians on a far half sphere are added where photographs look above the horizon."""
     antialiased: bool = False

@@ -35,7 +35,7 @@ from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainProgress, TrainResult, TrainState
 from radiant_core.train.shapes import ShapeCounts, limit_shapes, with_needle_width
 from radiant_core.train.thin_surfaces import ThinSurfaces
-from radiant_core.train.validation import BestModel
+from radiant_core.train.validation import BestModel, first_look
 from radiant_core.train.view_loss import ImageLoss, ViewLoss, view_of_step
 from radiant_core.train.views import TrainingViews
 
@@ -353,7 +353,7 @@ def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConf
     The best model replaces the last one before density control removes what no pixel shows."""
     parts: list[Part] = []
     if options.validation is not None:
-        parts.append(BestModel(options.validation, config.num_looks, options.backend))
+        parts.append(BestModel(options.validation, config.num_looks, options.backend, first_look(config)))
     if config.drop_gaussians == "always":
         parts.append(DroppedGaussians(config.drop_share, config.seed))
     if config.thickness_weight > 0 or config.depth_spread_weight > 0:

@@ -16,12 +16,21 @@ from radiant_core.io.photos.masks import used_pixels
 from radiant_core.render.contract import Backend, SplatTensors
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.densify.thinning import LATEST
 from radiant_core.train.parts import Part
 from radiant_core.train.results import TrainResult
 from radiant_core.train.views import TrainingViews
 
-FIRST_LOOK = 0.5
-"""Share of the run before which no model is the best: densification is still at work."""
+FIRST_LOOK, FIRST_THINNED = 0.5, LATEST
+"""Shares of the run before which no model is the best: densification, or thinning, is still at
+work."""
+
+
+def first_look(config: TrainConfig) -> float:
+    """The share of the run before which no model of a configuration is the best."""
+    thin_to = getattr(config.density, "thin_to", 1.0)
+    return FIRST_LOOK if thin_to in ("auto", 1.0) else FIRST_THINNED
 
 
 def validation_psnr_db(splats: Splats, views: TrainingViews, backend: Backend) -> float:
@@ -32,12 +41,14 @@ def validation_psnr_db(splats: Splats, views: TrainingViews, backend: Backend) -
 
 
 class BestModel(Part):
-    """The best of `num_looks` models, one each at even shares of the second half of a run; `looks`
-    are steps and their PSNR in dB."""
+    """The best of `num_looks` models, one each at even shares of what is left of a run after growth
+    and thinning; `looks` are steps and their PSNR in dB."""
 
     name = "best"
 
-    def __init__(self, views: TrainingViews, num_looks: int, backend: Backend) -> None:
+    def __init__(self, views: TrainingViews, num_looks: int, backend: Backend, first_look: float = FIRST_LOOK) -> None:
+        """The first of `num_looks` comes after this share of the run."""
+        self._first_look = first_look
         self._views, self._num_looks = views, num_looks
         self._backend: Backend = backend
         self.looks: list[tuple[int, float]] = []
@@ -47,7 +58,7 @@ class BestModel(Part):
     def is_due(self, progress: float) -> bool:
         """Whether the model is to be scored at this share of the run."""
         num_done = len(self.looks)
-        return num_done < self._num_looks and progress >= 1 - (1 - FIRST_LOOK) * (1 - (num_done + 1) / self._num_looks)
+        return num_done < self._num_looks and progress >= 1 - (1 - self._first_look) * (1 - (num_done + 1) / self._num_looks)
 
     def after_step(self, step: int, progress: float, splats: SplatTensors) -> None:
         """Score the model where a look is due, and keep it if it is the best so far."""

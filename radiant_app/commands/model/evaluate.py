@@ -22,7 +22,7 @@ from radiant_app.commands.run.steps import require_file_to_be, require_run, stag
 from radiant_app.files.out_folder import folder_made_for
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
-from radiant_app.workers.sources import captures_of, load_scored_scene, locate_source, masks_folder_of, notes_on_source
+from radiant_app.workers.sources import captures_of, is_held_out, load_scored_scene, locate_source, masks_folder_of, notes_on_source
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME
 from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
@@ -165,11 +165,12 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
         scene, copies, images = load_scored_scene(folder)
         everything = scene.cameras
     masks = None if kind == "colmap" else masks_folder_of(folder)
-    cameras = everything.select(held_out_mask(everything.names))
+    held_out = held_out_mask(everything.names) if kind == "colmap" else is_held_out(folder, everything.names)
+    cameras = everything.select(held_out)
     if kind == "colmap":
         _require_shapes(cameras, everything, images)
     cameras = cameras.scaled(request.long_side_px or DEFAULT_LONG_SIDE_PX)
-    trained = everything.select(~held_out_mask(everything.names))
+    trained = everything.select(~held_out)
     captures = read_captures(images, everything.names) if kind == "colmap" else captures_of(folder)
     return _HeldOut(cameras=cameras, photographs=images, masks=masks, trained=trained, captures=captures, copies=copies, notes=notes)
 

@@ -50,7 +50,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.sfm.adding import AddedPhotographs, add_photographs
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.splats import Splats
-from radiant_core.train.config import Preset, TrainConfig, train_preset
+from radiant_core.train.config import NEVER, Preset, TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend, fit_to_cameras
 from radiant_core.train.photographs import load_training_views
 from radiant_core.train.trainer import FitOptions
@@ -70,7 +70,8 @@ class AddedRequest:
     photographs: Path
     out: Path
     num_epochs: int | None = None
-    """Times each photograph is shown; None: `STEPS_SHARE` of the steps of a new training."""
+    """Times each photograph that is fitted is shown; None: `STEPS_SHARE` of the steps of a new
+    training."""
 
 
 def extend_by_photographs(request: AddedRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -211,14 +212,14 @@ class _Work:
             scene = placed.scene.restricted_to(rows)
             config = self.config(scene)
             views = load_training_views(self.photographs, scene.cameras.scaled(config.long_side_px), masks_folder_of(self.request.out))
-            epochs, num_steps = self.request.num_epochs, max(1, round(STEPS_SHARE * config.num_steps))
-            if epochs is not None:
-                num_steps = epochs * len(views)
+            num_steps = max(1, round(STEPS_SHARE * config.num_steps))
             is_new = rows >= placed.num_before
             options = FitOptions(
                 report=lambda progress: stage.reporter.progress(progress.step, progress.num_steps, f"loss {progress.loss:.4f}")
             )
-            refined = refine_with_views(self.before.splats, scene, views, is_new, replace(config, num_steps=num_steps), options)
+            epochs = self.request.num_epochs
+            config = replace(config, num_steps=num_steps if epochs is None else NEVER, max_epochs=epochs)
+            refined = refine_with_views(self.before.splats, scene, views, is_new, config, options)
             for decision in (*refined.decisions, _touched_decision(refined, is_new)):
                 stage.reporter.decide(decision)
             save_ply(self.request.out / "scene.ply", refined.splats)

@@ -37,14 +37,15 @@ def rounds_of(num_steps: int, num_views: int, every: int = 100) -> list[int]:
 @pytest.mark.parametrize(
     ("num_steps", "num_views", "steps"),
     [
-        (1_500, 40, [800, 1_000]),
-        (1_500, 60, [900, 1_000]),
+        (1_500, 40, [900, 1_000]),
+        (1_500, 60, [900, 1_100]),
         (1_500, 900, [900, 1_100]),  # a tenth of the run, not the epoch
+        (1_500, 20, [800, 1_000]),
         (500, 12, [300, 400]),
         (200, 12, []),  # too late to be mended
     ],
 )
-def test_a_round_gathers_an_epoch_and_ends_where_edits_are_looked_for(num_steps: int, num_views: int, steps: list[int]) -> None:
+def test_a_round_gathers_every_view_and_ends_where_edits_are_looked_for(num_steps: int, num_views: int, steps: list[int]) -> None:
     assert rounds_of(num_steps, num_views) == steps
 
 
@@ -57,6 +58,9 @@ def test_the_share_is_that_of_all_rounds() -> None:
 def test_the_lowest_go_and_what_no_view_sees_stays() -> None:
     scores, view_counts = np.array([5.0, 1.0, 0.0, 4.0, 2.0, 3.0]), np.array([2, 1, 0, 3, 1, 1])
     assert rows_that_stay(scores, view_counts, 0.5).tolist() == [0, 2, 3]
+    # Those that no view sees take no place of others.
+    many = np.concatenate([view_counts, np.zeros(50, np.int64)])
+    assert rows_that_stay(np.concatenate([scores, np.zeros(50)]), many, 0.5)[:4].tolist() == [0, 2, 3, 6]
     assert rows_that_stay(scores[3:], np.zeros(3, np.int64), 0.1).tolist() == [0, 1, 2]
     assert rows_that_stay(np.zeros(0), np.zeros(0, np.int64), 0.5).tolist() == []
 

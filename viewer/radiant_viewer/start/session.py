@@ -72,13 +72,14 @@ class StartSession:
     def folder(self, path: str) -> dict[str, Any]:
         """Names of the folders and files in a folder of this machine, hidden ones left out;
         BadInput where it cannot be read."""
-        folder = Path(path).expanduser().resolve() if path else Path.cwd()
-        folder = folder if folder.is_dir() else folder.parent
+        folder = Path(path or ".")
         try:
+            folder = folder.expanduser().resolve()
+            folder = folder if folder.is_dir() else folder.parent
             entries = sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=lambda entry: entry.name.lower())
             folders = [entry.name for entry in entries if entry.is_dir()]
-        except OSError as error:
-            raise BadInput(f"{folder} cannot be read: {error.strerror or error}: choose another folder.") from error
+        except (OSError, RuntimeError) as error:  # RuntimeError: ~ of somebody who is not there
+            raise BadInput(f"{folder} cannot be read: {getattr(error, 'strerror', None) or error}: choose another folder.") from error
         files = [entry.name for entry in entries if entry.name not in set(folders)]
         parent = "" if folder.parent == folder else str(folder.parent)
         more = max(0, len(folders) - MAX_NAMES) + max(0, len(files) - MAX_NAMES)
@@ -86,8 +87,15 @@ class StartSession:
 
     def keep(self, choice: Mapping[str, Any]) -> None:
         """Write listed machines where the command line of a choice names them."""
-        if choice.get("is_listed"):
-            self._listed.keep(Path(str(choice["system_as"])))
+        if not choice.get("is_listed"):
+            return
+        name = choice.get("system_as")
+        if not isinstance(name, str) or not name.strip():
+            raise BadInput("the list of machines has no file to be kept in: give it a name such as machines.toml.")
+        try:
+            self._listed.keep(Path(name))
+        except OSError as error:
+            raise BadInput(f"the list of machines cannot be written to {name}: {error.strerror or error}.") from error
 
     def begin(self, choice: Mapping[str, Any]) -> None:
         """Begin the command of a choice; BadInput where it has none, or another is at work."""

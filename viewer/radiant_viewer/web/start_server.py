@@ -177,7 +177,7 @@ class _Handler(BaseHTTPRequestHandler):
             answer = self.page.answer(request)
         except RadiantError as error:
             answer = {"error": str(error)}
-        except (ValueError, TypeError, KeyError, RecursionError) as error:
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             answer = {"error": f"the page sent what is no request ({type(error).__name__}): load it again."}
         self._send(HTTPStatus.OK, "application/json", json.dumps(answer).encode())
         if "opened" in answer:

@@ -55,7 +55,7 @@ RADIANT_INLINE void transpose(F rows[kLanes]) {
 #endif
 }
 
-// out[i] = sum of all lanes of rows[i], i < kRows ≤ 12.
+// out[i] = sum of all lanes of rows[i], i < kRows ≤ 16.
 template <int kRows>
 RADIANT_INLINE void sums_of_rows(const Part* rows, float* out) {
 #if defined(__AVX512F__)

@@ -5,10 +5,9 @@
 
 A sum over views, so that machines that train together add theirs; squared, so that a Gaussian which
 makes much of one picture stays before one that makes little of many; bounded, so that it travels
-like gradients. w_iv are the pixels that it makes. Gathered over one epoch, or a tenth of the run
-where that is shorter. What is left is fitted on: the town, caliterra and lewis keep their quality
-with three quarters of the Gaussians (docs/experiments/training.md). Once per step while a round
-gathers.
+like gradients. w_iv are the pixels that it makes. Gathered until every photograph was shown, or for
+a tenth of the run. What is left is fitted on: the town, caliterra and lewis keep their quality with
+three quarters of the Gaussians (docs/experiments/training.md). Once per step while a round gathers.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ ROUNDS = (0.0, 0.2)
 """Where rounds begin, as shares of the run that is left after growth."""
 LONGEST = 0.1
 """A round gathers for at most this share of the run."""
-LATEST = 0.9
+LATEST = 0.8
 """Later in the run nothing is left out, since too few steps would mend it."""
 HALF_WAY_PX = 16.0
 
@@ -61,8 +60,10 @@ class Thinning:
         return True
 
     def has_enough(self, schedule_step: float) -> bool:
-        """Whether an epoch was gathered, or as much as a round may take."""
-        return self.num_gathered >= self.num_views or schedule_step >= self._start(self.num_begun - 1) + LONGEST * self.schedule_steps
+        """Whether all views were gathered, or as much as a round may take."""
+        # From the middle of an epoch on, so many views show each photograph at least once.
+        last_step = self._start(self.num_begun - 1) + LONGEST * self.schedule_steps
+        return self.num_gathered >= 2 * self.num_views - 1 or schedule_step >= last_step
 
     def ends(self, schedule_step: float) -> bool:
         """End the round; whether Gaussians are left out."""
@@ -79,8 +80,9 @@ def squashed(weights_px: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def rows_that_stay(scores: NDArray[np.floating], view_counts: NDArray[np.integer], share: float) -> NDArray[np.int64]:
-    """The rows, ascending, of the share of Gaussians with the highest scores (N,) and of all that
-    no view counts (N,)."""
-    count = round(share * len(scores))
-    order = np.argsort(-np.where(view_counts > 0, scores, np.inf), kind="stable")
-    return np.sort(np.concatenate([order[:count], order[count:][view_counts[order[count:]] == 0]]))
+    """The rows, ascending, of the share of the Gaussians that views count with the highest scores
+    (N,), and of all that no view counts (N,)."""
+    is_seen = view_counts > 0
+    seen = np.flatnonzero(is_seen)
+    highest = seen[np.argsort(-scores[seen], kind="stable")[: round(share * len(seen))]]
+    return np.sort(np.concatenate([highest, np.flatnonzero(~is_seen)]))

@@ -38,7 +38,7 @@ function choice() {
 function isChosen() {
   const kind = at("machines").value;
   return source !== null && source.next !== "open" && at("out").value.trim() !== ""
-    && (kind === "here" || (kind === "file" && at("system").value.trim() !== "") || (kind === "form" && hasList));
+    && (kind === "here" || (kind === "file" && at("system").value.trim() !== "") || (kind === "form" && hasList && at("list").value.trim() !== ""));
 }
 
 function showState() {
