@@ -354,8 +354,9 @@ def is_held_out(folder: Path, names: Sequence[str]) -> NDArray[np.bool_]:
     to holds out what it held out before and some of the new ones."""
     path = folder / "metrics.json"
     rows = read_json(path).get("images") if path.is_file() else None
-    scored = {row.get("name") for row in rows if isinstance(row, dict)} & set(names) if isinstance(rows, list) else set()
-    return np.isin(names, sorted(scored)) if scored else held_out_mask(names)
+    scored = [row.get("name") for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    mask = np.array([name in scored for name in names], bool)
+    return mask if mask.any() else held_out_mask(names)
 
 
 def images_folder_of(folder: Path) -> Path:
