@@ -186,7 +186,7 @@ def test_losses_are_read_from_the_stream_of_a_run(tmp_path: Path) -> None:
 
 
 def test_inspecting_nothing_needs_a_window() -> None:
-    result = CliRunner().invoke(app, ["inspect", "--web"])
+    result = CliRunner().invoke(app, ["inspect", "--page"])
     assert isinstance(result.exception, BadInput) and "something to show" in str(result.exception)
 
 
