@@ -67,7 +67,11 @@ def text_once(page: Any, selector: str, text: str) -> str:
 
 
 def without_overflow(page: Any) -> None:
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "the page is wider than the screen"
+    wide = page.evaluate(
+        "document.documentElement.scrollWidth <= innerWidth ? [] : [...document.querySelectorAll('*')]"
+        ".filter(part => part.getBoundingClientRect().right > innerWidth).map(part => part.tagName + '#' + part.id)"
+    )
+    assert not wide, f"the page is wider than the screen: {wide}"
 
 
 def test_a_run_is_chosen_begun_stopped_resumed_and_opened(browser: Any, address: str, photographs: Path) -> None:
