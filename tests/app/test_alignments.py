@@ -121,7 +121,7 @@ def test_a_colmap_project_is_named_in_one_line(project, tmp_path: Path) -> None:
     result = reconstruct_source(sfm_task(folder, SfmConfig(), None, Placement()), tmp_path / "work", lambda progress: None)
     assert result.warnings[0] == f"sparse/0 of COLMAP gives the poses of 12 photographs and {len(result.scene.points)} points."
     (check,) = (decision for decision in result.decisions if decision.topic == "poses")
-    assert check.choice == "those of 0 of COLMAP" and check.figure is not None and check.figure < 0.01
+    assert check.choice == "those of sparse/0 of COLMAP" and check.figure is not None and check.figure < 0.01
 
 
 def test_poses_of_a_colmap_model_are_adjusted_too(project, tmp_path: Path) -> None:

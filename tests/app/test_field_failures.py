@@ -199,7 +199,7 @@ def test_the_middle_of_a_site_on_the_180th_meridian_lies_there() -> None:
         ({"frames": "gps", "poses": None, "source": "stripped"}, BadInput, "no photograph has a GPS position"),
         ({"source": "strange"}, BadInput, "and the folder 'other'"),
         ({"source": "lost"}, BadInput, r"photograph 'drone_0000.jpg' of the poses is not in"),
-        ({"source": "sky"}, StageFailed, "no device delivered a model"),
+        ({"source": "sky"}, BadInput, "does not fit its photographs"),
     ],
 )
 def test_what_cannot_be_placed_is_refused(hamlet: Path, system: Path, tmp_path: Path, change: dict, error: type, said: str) -> None:

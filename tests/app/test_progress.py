@@ -261,9 +261,9 @@ def test_a_run_says_how_many_of_its_stages_are_finished(tmp_path: Path) -> None:
     seen = read_progress(tmp_path)
     assert seen.expected == ("sfm", "devices/a", "cloud") and seen.stages[-1].note == "matching, step 3 of 6, loss 0.5"
     pytest.importorskip("PySide6")
-    from radiant_viewer.docks.progress_dock import _summary
+    from radiant_viewer.runs.progress_summary import progress_summary
 
-    assert "2 of 3 stages finished" in _summary(seen)
+    assert "2 of 3 stages finished" in progress_summary(seen)
 
 
 def test_libraries_write_to_a_file_and_python_is_heard(tmp_path: Path) -> None:

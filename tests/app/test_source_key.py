@@ -86,7 +86,7 @@ def test_what_changed_is_named_before_anything_is_made_again(config: RunConfig) 
     assert other != key and told.startswith(
         "photographs changed: 1 new (d.jpg), 2 gone (b.jpg, mask of b.jpg), 1 with other content (c.jpg)"
     )
-    assert told.endswith("done again.")
+    assert told.endswith("run again.")
 
 
 def test_the_same_size_at_the_same_time_is_believed_and_at_another_is_read(config: RunConfig) -> None:

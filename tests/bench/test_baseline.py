@@ -90,5 +90,5 @@ def test_blessing_replaces_the_figures_of_one_benchmark(
     ):
         with pytest.raises(BadInput, match=reason):
             run_bench("plan", None, BenchOptions(**options))
-    with pytest.raises(BadInput, match="--baseline is for sfm, plan, raster, not for train"):
+    with pytest.raises(BadInput, match="--baseline is for sfm, plan, raster, job, not for train"):
         run_bench("train", None, BenchOptions(baseline=file))

@@ -123,7 +123,7 @@ def fit_to_cameras(config: TrainConfig, cameras: Cameras) -> tuple[TrainConfig, 
     config, size = _fit_size(config, cameras)
     config, length = _fit_length(config, len(cameras))
     config, thinning = _fit_thinning(config, len(cameras))
-    return config, (*size, *length, *thinning, *dropping)
+    return config, (*size, *length, *dropping, *thinning)
 
 
 def _fit_size(config: TrainConfig, cameras: Cameras) -> tuple[TrainConfig, tuple[Decision, ...]]:

@@ -68,11 +68,12 @@ def test_a_device_trains_the_same_model_each_time_and_names_itself_in_its_decisi
     for name, array in model.splats.arrays().items():
         np.testing.assert_array_equal(array, again.splats.arrays()[name], err_msg=name)
     assert {decision.stage for decision in reporter.decisions} == {"devices/a-1"} and not reporter.warnings
-    assert [decision.topic for decision in reporter.decisions][:5] == [
+    assert [decision.topic for decision in reporter.decisions][:6] == [
         "repeated photographs",
         "blurred photographs",
         "light",
         "Gaussians left out at random",
+        "Gaussians after growth",
         "sky",
     ]
     assert model.summary["num_steps"] == TRAIN.num_steps and model.summary["num_photographs"] == 4

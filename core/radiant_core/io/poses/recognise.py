@@ -107,7 +107,7 @@ def alignment_files(path: Path) -> tuple[Path, ...]:
 def read_alignment(path: Path, size_of: SizeOf) -> PoseFile:
     """The alignment in a file, or in the folder of a COLMAP model of panoramas; BadInput where it
     is of no format that is read, or of a broken one."""
-    if path.is_dir():
+    if any((path / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
         return read_colmap_panoramas(path, size_of)
     if not path.is_file():
         raise BadInput(f"{path} is no file with an alignment: expected {READABLE}, or the folder of a COLMAP model.")
