@@ -34,7 +34,7 @@ from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.next_flight.candidates import FlightRules, air_over, candidate_views, usual_take_off
-from radiant_core.next_flight.choosing import choose_views
+from radiant_core.next_flight.choosing import COMPARED_FACETS, choose_views
 from radiant_core.next_flight.model_surface import MapView, facets_of_model
 from radiant_core.next_flight.predicted_error import error_samples, errors_in_views, fit_errors, mean_errors_db, rank_correlation
 from radiant_core.next_flight.sightings import Knowledge, Sighting, Sights, known_by
@@ -59,6 +59,8 @@ from scenegen.raycast import Photographer
 ARMS = ("proposed", "grid", "random")
 NUM_FLOWN, NUM_MORE, NUM_OFF_PATH, NUM_ON_PATH = 26, 13, 24, 12
 EXTENT_M, SAFE_M, CELL_GSD = (100.0, 70.0), 5.0, 3.0
+ON_PATH = "on_"
+"""How the names of scored views like those flown begin."""
 PLAIN = {"light": "none", "sky": False, "fill_in": False}
 """Light is the generator's, equal in all photographs, and nothing is left to trials."""
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -79,13 +81,16 @@ class ArmRow:
 
 @dataclass(frozen=True, kw_only=True)
 class MapRow:
-    """Of one map: rank correlation of predicted and true error over facets in views off the path,
-    and by held-out photographs; CPU seconds of map and proposal."""
+    """Of one map: rank correlation of predicted and true error over facets, and the share of them
+    at least as good as called, in new views like those flown and off their path; the same
+    correlation by held-out photographs; CPU seconds of map and proposal."""
 
     seed: int
-    rank_true: float
+    rank_on_path: float
+    rank_off_path: float
     rank_held_out: float | None
-    good_true: float | None
+    good_on_path: float | None
+    good_off_path: float | None
     facets: int
     map_s: float
     proposal_s: float
@@ -111,7 +116,7 @@ class Town:
         self.photographer = Photographer(self.config)
         self.flown = plan_flight(self.config)
         on_path = plan_flight(replace(self.config, num_cameras=NUM_ON_PATH, date=2))
-        self.scored = [*plan_off_path(self.config, self.photographer), *(replace(shot, name=f"on_{shot.name}") for shot in on_path)]
+        self.scored = [*plan_off_path(self.config, self.photographer), *(replace(shot, name=f"{ON_PATH}{shot.name}") for shot in on_path)]
         self.truths = [self.photograph(shot) for shot in self.scored]
         self.depths = [self.photographer.depth(shot) for shot in self.scored]
 
@@ -196,7 +201,10 @@ def propose(town: Town) -> Proposals:
     begun_s = time.process_time()
     air = air_over(facets, FlightRules(safe=SAFE_M, take_off=usual_take_off(facets), lowest=SAFE_M))
     candidates = candidate_views(air, map_frame, lens, ground.reach)
-    chosen = choose_views(facets, known_facets, sights.all_of(candidates.cameras), NUM_MORE)
+    sample = facets.sample(COMPARED_FACETS)
+    compared = Sights(sample, map_frame)
+    flown = compared.all_of(cameras)
+    chosen = choose_views(sample, known_by(compared, cameras, flown), flown, compared.all_of(candidates.cameras), NUM_MORE)
     proposal_s = time.process_time() - begun_s
     random_rows = np.random.default_rng([town.seed, 66]).choice(len(candidates), NUM_MORE, replace=False)
     grid_flight = plan_flight(replace(town.config, num_cameras=NUM_MORE, date=1))
@@ -248,12 +256,22 @@ def _map_row(
     model = fit_errors(samples)
     predicted_db = model.predict(train_db, known_facets.score)
     scored = town.scored_cameras()
-    sightings_of_scored = sights.all_of(scored)
-    true_db = mean_errors_db(count, sightings_of_scored, errors(scored, town.truths, sightings_of_scored))
-    both = np.isfinite(predicted_db) & np.isfinite(true_db)
-    good = None if model.margin_db is None else float((true_db[both] >= predicted_db[both] - model.margin_db).mean())
-    rank = rank_correlation(predicted_db[both], true_db[both])
-    return MapRow(seed=town.seed, rank_true=rank, rank_held_out=model.rank, good_true=good, facets=count, map_s=0.0, proposal_s=0.0)
+    seen_scored = sights.all_of(scored)
+    errors_scored = errors(scored, town.truths, seen_scored)
+
+    def held_against(*, on_path: bool) -> tuple[float, float | None]:
+        rows = [row for row, shot in enumerate(town.scored) if shot.name.startswith(ON_PATH) == on_path]
+        true_db = mean_errors_db(count, [seen_scored[row] for row in rows], [errors_scored[row] for row in rows])
+        both = np.isfinite(predicted_db) & np.isfinite(true_db)
+        good = None if model.margin_db is None else float((true_db[both] >= predicted_db[both] - model.margin_db).mean())
+        return rank_correlation(predicted_db[both], true_db[both]), good
+
+    rank_on, good_on = held_against(on_path=True)
+    rank_off, good_off = held_against(on_path=False)
+    return MapRow(
+        seed=town.seed, rank_on_path=rank_on, rank_off_path=rank_off, rank_held_out=model.rank, good_on_path=good_on,
+        good_off_path=good_off, facets=count, map_s=0.0, proposal_s=0.0,
+    )  # fmt: skip
 
 
 def measure_seed(seed: int, out: Path, width_px: int, num_steps: int) -> tuple[list[ArmRow], MapRow]:
@@ -307,12 +325,21 @@ def again(
         gain = paired_bootstrap([row.psnr_db for row in by_arm["proposed"]], [row.psnr_db for row in by_arm[compared]])
         print(f"proposed − {compared}: {gain.mean:+.2f} dB ({gain.low:+.2f} to {gain.high:+.2f}), at least {gain.at_least:+.2f}")
     for _, row in measured:
-        rank_text = "none" if row.rank_held_out is None else f"{row.rank_held_out:.2f}"
-        good = "none" if row.good_true is None else f"{row.good_true:.2f}"
+        ranks = ", ".join(
+            f"{name} {_text(rank)} ({_text(good)} as good as called)"
+            for name, rank, good in (
+                ("like those flown", row.rank_on_path, row.good_on_path),
+                ("off the path", row.rank_off_path, row.good_off_path),
+            )
+        )
         print(
-            f"seed {row.seed}: {row.facets} facets, rank true {row.rank_true:.2f}, held out {rank_text}, as good as called {good}; "
+            f"seed {row.seed}: {row.facets} facets; rank in views {ranks}, held out {_text(row.rank_held_out)}; "
             f"map {row.map_s:.1f}, proposal {row.proposal_s:.1f} CPU s"
         )
+
+
+def _text(figure: float | None) -> str:
+    return "none" if figure is None else f"{figure:.2f}"
 
 
 if __name__ == "__main__":

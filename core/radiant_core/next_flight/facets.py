@@ -44,6 +44,21 @@ class Facets:
     def __len__(self) -> int:
         return len(self.places)
 
+    def sample(self, most: int) -> Facets:
+        """At most so many of the facets, drawn evenly with a fixed seed; each stands for as many
+        as were left out, so that areas keep their sum."""
+        if len(self) <= most:
+            return self
+        rows = np.sort(np.random.default_rng(0).choice(len(self), most, replace=False))
+        return Facets(
+            surface=self.surface,
+            places=self.places[rows],
+            normals=self.normals[rows],
+            areas=self.areas[rows] * (self.areas.sum() / self.areas[rows].sum()),
+            is_wall=self.is_wall[rows],
+            cells=self.cells[rows],
+        )
+
     @cached_property
     def highest(self) -> float:
         """The highest known height."""

@@ -34,7 +34,9 @@ from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.flight.route import FlownHeights, route_of
 from radiant_core.io.run_store import write_atomic, write_json
 from radiant_core.next_flight.candidates import Air, Candidates, FlightRules, air_over, candidate_views, usual_take_off
-from radiant_core.next_flight.choosing import Chosen, choose_views
+from radiant_core.next_flight.choosing import COMPARED_FACETS, Chosen, choose_views
+from radiant_core.next_flight.facets import Facets
+from radiant_core.next_flight.sightings import Sights, known_by
 from radiant_core.next_flight.way import safe_way, shortest_order
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.devices.device_split import split_edges
@@ -157,18 +159,33 @@ def _propose(
     rules = FlightRules(safe=request.safe_m, take_off=take_off, lowest=lowest, highest=request.highest_m, no_fly=no_fly)
     air = air_over(facets, rules)
     candidates = candidate_views(air, known_map.survey.map_frame, usual_lens(known_map), known_map.survey.ground.reach)
+    facets = _compared(facets, display)
+    sights = Sights(facets, known_map.survey.map_frame)
     with stage_bar(display, "candidates") as report:
-        sightings = known_map.sights.all_of(candidates.cameras, lambda num_done, total: report(num_done, total, "views"))
+        flown = sights.all_of(known_map.trained)
+        sightings = sights.all_of(candidates.cameras, lambda num_done, total: report(num_done, total, "views"))
     count = MOST_VIEWS if request.photographs is None else request.photographs
     with stage_bar(display, "choosing") as report:
-        chosen = choose_views(
-            facets, known_map.layers.knowledge, sightings, count, lambda num_done, total: report(num_done, total, "views")
-        )
+        knowledge = known_by(sights, known_map.trained, flown)
+        chosen = choose_views(facets, knowledge, flown, sightings, count, lambda num_done, total: report(num_done, total, "views"))
     if not chosen:
         raise BadInput("no safe view adds anything to what is known: nothing is to be flown.")
     flights = _within_batteries(request, system, air, candidates, chosen, known_map)
     _tell(request, candidates, flights, display)
     return _Proposal(known_map=known_map, air=air, candidates=candidates, flights=flights)
+
+
+def _compared(facets: Facets, display: ProgressDisplay) -> Facets:
+    """The facets at which candidate views are compared."""
+    sample = facets.sample(COMPARED_FACETS)
+    if len(sample) < len(facets):
+        decision = Decision(
+            stage=STAGE, topic="surface compared", choice=f"{len(sample):,} of {len(facets):,} facets", figure=float(len(sample)),
+            unit="facets", reason="every candidate view is followed to each of them; areas are scaled to the whole",
+            otherwise="--resolution",
+        )  # fmt: skip
+        display(Decided(decision=decision))
+    return sample
 
 
 def usual_lens(known_map: FoundMap) -> Lens:
@@ -239,7 +256,7 @@ def _tell(request: NextFlightRequest, candidates: Candidates, flights: Sequence[
         topic="next flight",
         choice=f"{count} of {len(candidates)} safe views",
         figure=float(sum(view.gain for flight in flights for view in flight.views)),
-        unit="expected gain",
+        unit="m² of surface, from all sides",
         reason=f"the greedy choice by gain stops at the {limit} asked for",
         otherwise=f"--{limit}",
     )

@@ -10,8 +10,8 @@ import shapely
 
 from radiant_core.errors import BadInput
 from radiant_core.next_flight.candidates import FlightRules, air_over, candidate_views, usual_take_off
-from radiant_core.next_flight.choosing import choose_views, gain_of
-from radiant_core.next_flight.sightings import Knowledge, known_by
+from radiant_core.next_flight.choosing import Coverage, choose_views
+from radiant_core.next_flight.sightings import Knowledge, Sights, known_by
 from radiant_core.next_flight.way import safe_way, shortest_order
 from tests.core.next_flight.block import FRAME, LENS, block_facets, block_sights, looks
 
@@ -21,14 +21,16 @@ RULES = FlightRules(safe=3.0, take_off=0.0, lowest=2.0, highest=60.0)
 def test_lazy_greedy_is_greedy() -> None:
     sights = block_sights()
     flown = looks((0.0, 0.0, 40.0))
-    known = known_by(sights, flown, sights.all_of(flown))
+    seen = sights.all_of(flown)
+    known = known_by(sights, flown, seen)
     candidates = candidate_views(air_over(sights.facets, RULES), FRAME, LENS, 30.0)
     sightings = sights.all_of(candidates.cameras)
-    chosen = choose_views(sights.facets, known, sightings, 6)
-    information, rows, left = known.information.copy(), list[int](), set(range(len(sightings)))
+    chosen = choose_views(sights.facets, known, seen, sightings, 6)
+    coverage, rows, left = Coverage(sights.facets, float(np.median(seen[0].gsd))), list[int](), set(range(len(sightings)))
+    coverage.add(seen[0])
     for _ in range(6):
-        best = max(left, key=lambda row: (float(gain_of(information, sights.facets.areas, sightings[row]).sum()), -row))
-        information[sightings[best].rows] += sightings[best].information()
+        best = max(left, key=lambda row: (float(coverage.gain_of(sightings[row]).sum()), -row))
+        coverage.add(sightings[best])
         rows.append(best)
         left.discard(best)
     assert [view.row for view in chosen] == rows
@@ -41,10 +43,11 @@ def test_lazy_greedy_is_greedy() -> None:
 def test_four_views_after_a_nadir_one_open_all_four_walls() -> None:
     sights = block_sights()
     flown = looks((0.0, 0.0, 40.0))
-    known = known_by(sights, flown, sights.all_of(flown))
+    seen = sights.all_of(flown)
+    known = known_by(sights, flown, seen)
     candidates = candidate_views(air_over(sights.facets, RULES), FRAME, LENS, 30.0)
     sightings = sights.all_of(candidates.cameras)
-    chosen = choose_views(sights.facets, known, sightings, 4)
+    chosen = choose_views(sights.facets, known, seen, sightings, 4)
     opened = np.zeros(len(sights.facets), bool)
     for view in chosen:
         opened[sightings[view.row].rows] = True
@@ -52,6 +55,35 @@ def test_four_views_after_a_nadir_one_open_all_four_walls() -> None:
     assert opened[walls].mean() > 0.95
     assert chosen[0].from_unseen > 0
     assert "no photograph shows" in chosen[0].reason("m")
+
+
+def test_a_second_look_from_one_side_adds_nothing_and_one_from_another_side_does() -> None:
+    sights = block_sights()
+    looking = sights.all_of(looks((0.0, 0.0, 40.0), (25.0, 0.0, 30.0)))
+    coverage = Coverage(sights.facets, float(np.median(looking[0].gsd)))
+    assert (coverage.gain_of(looking[0]) > 0).all()
+    # No more than what it sees, from all sides, and nothing a second time.
+    assert coverage.gain_of(looking[0]).sum() < sights.facets.areas[looking[0].rows].sum()
+    alone = coverage.gain_of(looking[1]).sum()
+    coverage.add(looking[0])
+    assert coverage.gain_of(looking[0]).max() == 0.0
+    assert 0.5 * alone < coverage.gain_of(looking[1]).sum() < alone
+    assert (coverage.covered >= 0).all() and (coverage.covered <= 1).all()
+
+
+def test_a_sample_of_facets_stands_for_all() -> None:
+    sights = block_sights()
+    whole = sights.facets
+    sample = whole.sample(len(whole) // 3)
+    assert len(sample) == len(whole) // 3
+    assert sample.areas.sum() == pytest.approx(whole.areas.sum())
+    assert whole.sample(len(whole)) is whole
+    # Each camera sees about as much of the sample as of all.
+    for position in ((0.0, 0.0, 40.0), (25.0, 0.0, 30.0)):
+        cameras = looks(position)
+        seen = whole.areas[sights.all_of(cameras)[0].rows].sum() / whole.areas.sum()
+        seen_of_sample = sample.areas[Sights(sample, FRAME).all_of(cameras)[0].rows].sum() / sample.areas.sum()
+        assert seen_of_sample == pytest.approx(seen, abs=0.05)
 
 
 def test_no_view_is_nearer_than_asked() -> None:
