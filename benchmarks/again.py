@@ -322,7 +322,7 @@ def again(
         holes, cpu_s = 100 * np.mean([row.holes for row in rows]), np.mean([row.cpu_s for row in rows])
         print(f"{arm:<10} {psnr:7.2f} {holes:9.2f} {min(row.clearance_m for row in rows):13.1f} {cpu_s:7.0f}")
     for compared in ARMS[1:]:
-        gain = paired_bootstrap([row.psnr_db for row in by_arm["proposed"]], [row.psnr_db for row in by_arm[compared]])
+        gain = paired_bootstrap(*([np.array([row.psnr_db]) for row in by_arm[arm]] for arm in ("proposed", compared)))
         print(f"proposed − {compared}: {gain.mean:+.2f} dB ({gain.low:+.2f} to {gain.high:+.2f}), at least {gain.at_least:+.2f}")
     for _, row in measured:
         ranks = ", ".join(

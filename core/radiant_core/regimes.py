@@ -257,7 +257,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
         ),
         Regime(
             row="filled-around",
-            evidence="12 to 18 %: +0.47 (orbit), −0.37 (street), −0.82 dB (turntable)",
+            evidence="12 to 18 %: +0.47 (orbit), −0.37 (street), −0.82 dB (turntable); 9 %: −0.94 (room of 90) by height, +0.09 by depth",
             values={"tried": 1, "on": 1},
             reason="around an object or along a street they gain or lose half a decibel",
         ),

@@ -75,13 +75,14 @@ def sky_decision(stage: str, share: float, *, wanted: bool) -> Decision:
     )
 
 
-def fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool) -> Decision:
-    """How many points were added where there is no sparse one and nothing speaks against them."""
+def fill_decision(stage: str, num_filled: int, num_points: int, placed: str, *, wanted: bool) -> Decision:
+    """How many points were added where there is no sparse one and nothing speaks against them, and
+    how they were placed."""
     case = require(FILL_IN, {"contradicted": 0.0, "seen_through": 0.0})
     return Decision(
         stage=stage,
         topic="fill-in points",
-        choice=f"{num_filled:,} points were added to {num_points:,} sparse ones",
+        choice=f"{num_filled:,} points were added to {num_points:,} sparse ones" + (f", {placed}" if num_filled else ""),
         figure=float(num_filled),
         unit="image cells without a sparse point" if wanted else "points",
         reason=case.reason if wanted else BY_PRESET,

@@ -138,8 +138,8 @@ def prepare_training(
     _decide(reporter, decisions)
     initial, num_filled = first_splats(scene, views, config, dense, filled)
     if config.fill_in or not helpers.decisions:
-        filled = fill_decision(reporter.stage, num_filled, len(scene.points), wanted=bool(config.fill_in))
-        reporter.decide(replace(filled, row="", otherwise="") if helpers.decisions else filled)
+        added = fill_decision(reporter.stage, num_filled, len(scene.points), filled.placed, wanted=bool(config.fill_in))
+        reporter.decide(replace(added, row="", otherwise="") if helpers.decisions else added)
     _decide(reporter, [extent_decision(views.cameras, initial, config.max_extent_per_distance)])
     bare = FitOptions(backend=task.backend, validation=validation)
     options = fit_options(task.backend, heard, machine, lambda: training_key(initial, views, config, bare))

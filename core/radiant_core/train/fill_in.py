@@ -1,8 +1,13 @@
 """Points where structure from motion found none, as on woods, water and lawns. Once per model.
 
 Each training image is cut into cells; a cell below the horizon in which no sparse point is seen
-gets one on the ray through its middle, where it comes down to the height of the nearest observed
-points, in the cell's mean colour. Without these points such places start empty, and a short
+gets one on the ray through its middle, in the cell's mean colour, by one of two rules for all:
+
+    height   where the ray comes down to the height of the nearest observed points: ground, roofs
+    depth    as far away as these: walls of a room, a façade
+
+Observed points are asked first, each by those at least half a cell from it: the rule counts that
+errs less, |log(depth / its depth)| in the median. Without these points such places start empty, and a short
 training does not fill them: on an aerial set the woods stayed black.
 
 A point that another photograph sees through, since what it shows there lies farther away, is left
@@ -12,7 +17,9 @@ another colour than the photographs show in their place, they lie where nothing 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -41,6 +48,13 @@ CONTRADICTED = 0.5
 """A point differs that is farther from what photographs show in its place, in the median of them,
 than this share of how far two places of the photographs are apart, in the median of pairs."""
 NUM_PAIRS = 20_000
+ASKED_PER_IMAGE, FEWEST_ASKED = 40, 30
+"""Observed points of an image that both rules are tried on; with fewer in all, `height` counts."""
+APART_CELLS = 0.5
+"""How far from each of these the points are that tell its depth, as from a cell to be filled."""
+CONSIDERED = 64
+"""So many of the nearest are searched for such points."""
+Rule = Literal["height", "depth"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,6 +65,18 @@ class AddedPoints:
     points: FloatArray
     colors: NDArray[np.uint8]
     seen_through_share: float = 0.0
+    rule: Rule = "height"
+    errors: Mapping[Rule, float] = field(default_factory=dict[Rule, float])
+    """Of each rule at points that are observed; none where too few are."""
+
+    @property
+    def placed(self) -> str:
+        """Where they are, in words."""
+        other: Rule = "depth" if self.rule == "height" else "height"
+        if not self.errors:
+            return f"at the {self.rule} of the points beside them"
+        mine, others = (f"{100 * self.errors[rule]:.1f} %" for rule in (self.rule, other))
+        return f"at the {self.rule} of the points beside them ({mine} off at observed points; at their {other} {others})"
 
     def thin(self, max_num_points: int) -> AddedPoints:
         """At most so many, evenly over the order in which they were found."""
@@ -69,9 +95,11 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
     # The scene's points, of which there may be many, are sorted once; of those added there are few.
     tree, points, colors_of_points = KDTree(scene.points), np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
     seen_by = scene.points_of_cameras()
+    errors = _errors_of_rules(scene, seen_by, views.cameras)
+    rule: Rule = "depth" if errors and errors["depth"] < errors["height"] else "height"
     for index in range(len(views)):
         cells = _cells(views.images[index], None if views.weights is None else views.weights[index])
-        placed = _place(views.cameras, index, scene.points[seen_by[index]], cells)
+        placed = _place(views.cameras, index, scene.points[seen_by[index]], cells, rule)
         if placed is None:
             continue
         new, spacing, empty = placed
@@ -84,7 +112,49 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
             colors_of_points = np.concatenate([colors_of_points, new_colors[apart]])
     stays = ~_are_seen_through(scene, seen_by, views.cameras, points)
     share = 1 - float(stays.mean()) if len(stays) else 0.0
-    return AddedPoints(points=points[stays], colors=colors_of_points[stays], seen_through_share=share)
+    return AddedPoints(points=points[stays], colors=colors_of_points[stays], seen_through_share=share, rule=rule, errors=errors)
+
+
+def _errors_of_rules(scene: SfmScene, seen_by: list[NDArray[np.int64]], cameras: Cameras) -> Mapping[Rule, float]:
+    """The median error of either rule at observed points below the horizon, |log| of the ratio of
+    depths; empty where too few can be asked. Once per model: V queries of 40 points."""
+    rng, errors = np.random.default_rng(0), dict[Rule, list[FloatArray]](height=[], depth=[])
+    for index in range(len(cameras)):
+        points = scene.points[seen_by[index]]
+        pixels, depths = _project(cameras, index, points)
+        points, pixels, depths = points[depths > 0], pixels[depths > 0], depths[depths > 0]
+        if len(points) <= NEIGHBOURS:
+            continue
+        asked = rng.permutation(len(points))[:ASKED_PER_IMAGE]
+        rays = _rays(cameras, index, pixels[asked])
+        distances, nearest = KDTree(pixels).query(pixels[asked], k=min(len(points), CONSIDERED))
+        apart = distances > APART_CELLS * cameras.sizes_wh[index].max() / CELLS_ACROSS
+        usable = (apart.sum(axis=1) >= NEIGHBOURS) & (rays[:, 2] < 0)
+        # The nearest that are far enough apart come first, in their order.
+        order = np.argsort(~apart[usable], axis=1, kind="stable")[:, :NEIGHBOURS]
+        beside = np.take_along_axis(nearest[usable], order, axis=1)
+        weights = _weights(np.take_along_axis(distances[usable], order, axis=1))
+        true = depths[asked[usable]]
+        by_depth = (weights * depths[beside]).sum(axis=1)
+        by_height = _depths_at_height(rays[usable], cameras.centers[index], by_depth, weights, points[beside])
+        for rule, placed in (("height", by_height), ("depth", by_depth)):
+            errors[rule].append(np.abs(np.log(placed / true)))
+    if sum(len(part) for part in errors["height"]) < FEWEST_ASKED:
+        return {}
+    return {rule: float(np.median(np.concatenate(parts))) for rule, parts in errors.items()}
+
+
+def _rays(cameras: Cameras, index: int, pixels: FloatArray) -> FloatArray:
+    """Directions (F,3) in the world through pixels (F,2), of depth 1."""
+    return (np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1) @ np.linalg.inv(cameras.Ks[index]).T) @ cameras.cam_from_world[
+        index, :3, :3
+    ]
+
+
+def _weights(distances: FloatArray) -> FloatArray:
+    """Shares (F,K) of neighbours at such distances."""
+    weights = 1 / np.maximum(distances, 1e-6)
+    return weights / weights.sum(axis=1, keepdims=True)
 
 
 def _are_seen_through(scene: SfmScene, seen_by: list[NDArray[np.int64]], cameras: Cameras, points: FloatArray) -> NDArray[np.bool_]:
@@ -176,7 +246,9 @@ def _block_means(image: FloatArray, columns: int, rows: int) -> FloatArray:
     return sums / counts[..., None]
 
 
-def _place(cameras: Cameras, index: int, seen_points: FloatArray, cells: _Cells) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None:
+def _place(
+    cameras: Cameras, index: int, seen_points: FloatArray, cells: _Cells, rule: Rule
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None:
     """Points (F,3) of the cells, spacings (F,) in world units, and which are below the horizon
     without an observed point (F,); None when too few points are seen to tell a depth."""
     pose, K = cameras.cam_from_world[index], cameras.Ks[index]
@@ -186,10 +258,10 @@ def _place(cameras: Cameras, index: int, seen_points: FloatArray, cells: _Cells)
         return None
     pixels = (in_camera @ K.T)[:, :2] / in_camera[:, 2:]
     distances, nearest = KDTree(pixels).query(cells.middles, k=NEIGHBOURS)
-    weights = 1 / np.maximum(distances, 1e-6)
-    weights /= weights.sum(axis=1, keepdims=True)
-    rays = (np.concatenate([cells.middles, np.ones((len(cells.middles), 1))], axis=1) @ np.linalg.inv(K).T) @ pose[:3, :3]
-    depths = _depths_at_height(rays, cameras.centers[index], (weights * in_camera[nearest, 2]).sum(axis=1), weights, visible[nearest])
+    weights, rays = _weights(distances), _rays(cameras, index, cells.middles)
+    depths = (weights * in_camera[nearest, 2]).sum(axis=1)
+    if rule == "height":
+        depths = _depths_at_height(rays, cameras.centers[index], depths, weights, visible[nearest])
     points = cameras.centers[index] + rays * depths[:, None]
     cell_px = cameras.sizes_wh[index].max() / CELLS_ACROSS
     empty = (distances[:, 0] > 0.5 * cell_px) & (rays[:, 2] < 0)

@@ -100,6 +100,42 @@ def test_the_far_ground_of_an_oblique_view_comes_down_to_the_ground() -> None:
     assert np.linalg.norm(added, axis=1).max() < 10 * np.linalg.norm(near, axis=1).max() * 2
 
 
+def wall_with_a_gap() -> tuple[SfmScene, TrainingViews]:
+    """A wall 4 m north of two level cameras, a point every few cm but in a square 1 m wide."""
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-2, 2, 900), np.full(900, 4.0), rng.uniform(-1.4, 1.4, 900)])
+    points = points[(np.abs(points[:, 0]) > 0.5) | (np.abs(points[:, 2] + 0.5) > 0.5)]
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    # Camera axes: x east, y down, z north.
+    poses[:, :3, :3] = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    poses[:, 0, 3] = [0.3, -0.3]
+    K = np.array([[80.0, 0, 40], [0, 80, 30], [0, 0, 1]])
+    cameras = Cameras(names=("a.jpg", "b.jpg"), Ks=np.tile(K, (2, 1, 1)), cam_from_world=poses, sizes_wh=np.tile([80, 60], (2, 1)))
+    observations = np.array([(point, camera) for point in range(len(points)) for camera in (0, 1)])
+    frame = Frame(kind="metric", origin_lat_lon_alt=np.zeros(3))
+    scene = SfmScene(cameras=cameras, points=points, colors=np.full((len(points), 3), 99, np.uint8), observations=observations, frame=frame)
+    return scene, TrainingViews(cameras=cameras, images=tuple(np.full((60, 80, 3), 7, np.uint8) for _ in range(2)))
+
+
+def test_a_gap_in_a_wall_is_filled_in_the_wall_and_one_in_the_ground_in_the_ground() -> None:
+    """Observed points say by which rule: a ray that is level comes down to no height."""
+    wall = fill_in_points(*wall_with_a_gap())
+    assert wall.rule == "depth" and wall.errors["depth"] < 1e-6 < 0.05 < wall.errors["height"]
+    assert len(wall.points) >= 4
+    np.testing.assert_allclose(wall.points[:, 1], 4.0, atol=1e-6)
+    assert "at the depth of the points beside them (0.0 % off at observed points" in wall.placed
+    ground = fill_in_points(*flat_scene(half_side_m=0.7))
+    assert ground.rule == "height"
+
+
+def test_of_few_observed_points_none_is_asked() -> None:
+    scene, views = wall_with_a_gap()
+    few = replace(scene, observations=scene.observations[scene.observations[:, 0] < 10])
+    added = fill_in_points(few, views)
+    assert added.rule == "height" and not added.errors
+    assert added.placed == "at the height of the points beside them"
+
+
 def ring_of_cameras(num_views: int) -> Cameras:
     """Level cameras 5 m around the origin, 1 m above the ground, that look at it."""
     poses = []
