@@ -100,7 +100,7 @@ def decisions_of_a_training() -> Iterator[Decision]:
         yield from fit_to_cameras(config, cameras_above([(0.1 * v, 0.0) for v in range(count)]))[1]
     for share in (0.0, 0.5):
         yield sky_decision("train", share, wanted=True)
-    yield fill_decision("train", 1, 10, wanted=True)
+    yield fill_decision("train", 1, 10, "at the height of the points beside them", wanted=True)
     scene, views = ball_before_a_wall()
     grey = replace(views, images=tuple(np.full((60, 80, 3), 30 * view, np.uint8) for view in range(len(views))))
     for own in (views, grey):
