@@ -5,7 +5,9 @@ For each seed a town of the generator, its truth known: 26 photographs of a chea
 which every eighth is held out, make a model; its map proposes 13 more views. Three trainings of all
 26 and 13 more, as many steps each: as proposed, on another nadir grid, and drawn at random from the
 same safe views. All are scored on the same views, off the path too; holes are true surface in these
-views that no photograph shows. Rows lie in OUT as soon as they are measured; a later call resumes.
+views that no photograph shows. With `--flight street` or `orbit` the first are a walk along
+a street or a flight around a block, and so is "grid". Rows lie in OUT as soon as they are measured;
+a later call resumes.
 """
 
 from __future__ import annotations
@@ -59,6 +61,7 @@ from scenegen.raycast import Photographer
 ARMS = ("proposed", "grid", "random")
 NUM_FLOWN, NUM_MORE, NUM_OFF_PATH, NUM_ON_PATH = 26, 13, 24, 12
 EXTENT_M, SAFE_M, CELL_GSD = (100.0, 70.0), 5.0, 3.0
+RAISED_M, TURNED_DOWN_DEG = 3.0, 15.0
 ON_PATH = "on_"
 """How the names of scored views like those flown begin."""
 PLAIN = {"light": "none", "sky": False, "fill_in": False}
@@ -99,14 +102,15 @@ class MapRow:
 class Town:
     """One seed's town, its flight and what all models are scored on."""
 
-    def __init__(self, seed: int, width_px: int, num_steps: int) -> None:
+    def __init__(self, seed: int, width_px: int, num_steps: int, flight: str = "survey") -> None:
         self.config = SceneConfig(
+            flight=flight,
             num_cameras=NUM_FLOWN,
             extent_m=EXTENT_M,
             oblique_fraction=0.0,
             gps_error_m=0.0,
             seed=seed,
-            off_path=NUM_OFF_PATH,
+            off_path=NUM_OFF_PATH if flight == "survey" else 0,
             textured_points=True,
             num_known_points=6000,
             width_px=width_px,
@@ -116,9 +120,16 @@ class Town:
         self.photographer = Photographer(self.config)
         self.flown = plan_flight(self.config)
         on_path = plan_flight(replace(self.config, num_cameras=NUM_ON_PATH, date=2))
-        self.scored = [*plan_off_path(self.config, self.photographer), *(replace(shot, name=f"{ON_PATH}{shot.name}") for shot in on_path)]
+        self.scored = [*self.off_path(), *(replace(shot, name=f"{ON_PATH}{shot.name}") for shot in on_path)]
         self.truths = [self.photograph(shot) for shot in self.scored]
         self.depths = [self.photographer.depth(shot) for shot in self.scored]
+
+    def off_path(self) -> list[Shot]:
+        """Views that the flight does not take: of a survey the generator's, of a street or an orbit
+        those of a third date, higher and turned down."""
+        if self.config.flight == "survey":
+            return plan_off_path(self.config, self.photographer)
+        return [raised(shot) for shot in plan_flight(replace(self.config, num_cameras=NUM_OFF_PATH, date=3))]
 
     def photograph(self, shot: Shot) -> NDArray[np.uint8]:
         """What the shot shows, in even light."""
@@ -158,6 +169,16 @@ class Town:
             num_shown += int((count_views(self.photographer, shot, depth, list(shots))[near] > 0).sum())
             total += int(near.sum())
         return 1 - num_shown / total
+
+
+def raised(shot: Shot) -> Shot:
+    """The shot from `RAISED_M` higher, turned down by `TURNED_DOWN_DEG`."""
+    angle = np.radians(TURNED_DOWN_DEG)
+    turn = np.array([[1.0, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    pose = np.eye(4)
+    pose[:3, :3] = turn @ shot.cam_from_world[:3, :3]
+    pose[:3, 3] = -pose[:3, :3] @ (shot.center_m + np.array([0, 0, RAISED_M]))
+    return replace(shot, cam_from_world=pose)
 
 
 def _cameras_of(config: SceneConfig, shots: Sequence[Shot]) -> Cameras:
@@ -274,13 +295,13 @@ def _map_row(
     )  # fmt: skip
 
 
-def measure_seed(seed: int, out: Path, width_px: int, num_steps: int) -> tuple[list[ArmRow], MapRow]:
+def measure_seed(seed: int, out: Path, width_px: int, num_steps: int, flight: str = "survey") -> tuple[list[ArmRow], MapRow]:
     """The rows of a seed, measured where they are not there yet."""
-    folder = out / f"{width_px}px-{num_steps}" / f"seed-{seed}"
+    folder = out / f"{flight}-{width_px}px-{num_steps}" / f"seed-{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     paths = {arm: folder / f"{arm}.json" for arm in (*ARMS, "map")}
     if not all(path.is_file() for path in paths.values()):
-        town = Town(seed, width_px, num_steps)
+        town = Town(seed, width_px, num_steps, flight)
         proposals = propose(town)
         write_json(paths["map"], asdict(proposals.row))
         for arm in ARMS:
@@ -312,9 +333,10 @@ def again(
     seeds: Annotated[int, typer.Option(min=1, max=100, help="Towns.")] = 5,
     width_px: Annotated[int, typer.Option(min=64, help="Width of the photographs.")] = 320,
     steps: Annotated[int, typer.Option(min=1, help="Steps of each training.")] = 1_500,
+    flight: Annotated[str, typer.Option(help="survey, or street or orbit: what the first photographs are of.")] = "survey",
 ) -> None:
     """Print what 13 more photographs bring, by how they were chosen."""
-    measured = [measure_seed(seed, out, width_px, steps) for seed in range(seeds)]
+    measured = [measure_seed(seed, out, width_px, steps, flight) for seed in range(seeds)]
     by_arm = {arm: [row for rows, _ in measured for row in rows if row.arm == arm] for arm in ARMS}
     print("arm        PSNR dB   holes %   clearance m   CPU s")
     for arm, rows in by_arm.items():
