@@ -1,13 +1,15 @@
 """Which error a model has at each facet, predicted from what is known of it. Once per map.
 
-    y = −10 log10(mean squared error of a render about the facet's pixel)     dB, more is better
+    y = −10 log10(mean squared error of a render about the facet's pixel)     dB, more is better,
+        once one colour map per photograph is taken out (evaluate/color_correction.py)
     y ≈ a + f(y in the training photographs) + g(log det J)                   f, g rising
 
 The first term knows how hard a place is to show, the second how well it was photographed. f and g
 are fitted to held-out photographs by turns, each the closest rising function to what the other
-leaves (isotonic regression; Bacchetti, J. Am. Stat. Assoc. 84, 1989). How far it can be trusted is
-measured on photographs that took no part in its fit: `margin_db` is what nine of ten cells there
-exceed, `rank` the correlation of ranks. M samples: a facet in a held-out photograph.
+leaves (isotonic regression; Bacchetti, J. Am. Stat. Assoc. 84, 1989). It predicts for views like
+the photographs, not for any view. How far it can be trusted is measured on photographs that took no
+part in its fit, by cell, a mean over those that show it: `margin_db` is what nine of ten cells
+there exceed, `rank` the correlation of ranks. M samples: a facet in a held-out photograph.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from scipy.stats import rankdata
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import MIN_SQUARED_ERROR
 from radiant_core.next_flight.facets import Rows
 from radiant_core.next_flight.sightings import Sighting
@@ -88,8 +91,8 @@ class ErrorModel:
     rank: float | None = None
     """Spearman's correlation of predicted and true error over cells."""
     good: float | None = None
-    """Share of the cells not used in a fit that were at least as good as predicted less the margin
-    of the others."""
+    """Share of the cells of photographs apart that were at least as good as predicted less the
+    margin of the others."""
 
     def predict(self, train_db: FloatArray, score: FloatArray) -> FloatArray:
         """y (K,) of facets; NaN where no training photograph shows one."""
@@ -102,7 +105,8 @@ def errors_in_views(
     """Per camera the mean squared error (R,) of the model about the pixels of the facets that it
     sees, over a square as wide as a cell there usually is; images (H,W,3) of the cameras' sizes."""
     for view, image, sighting in zip(render_views(splats, cameras), images, sightings, strict=True):
-        squared = np.square(view.image - image.astype(np.float32) / 255).mean(axis=2)
+        photograph = image.astype(np.float32) / 255
+        squared = np.square(correct_colors(np.clip(view.image, 0, 1), photograph) - photograph).mean(axis=2)
         side = max(1, round(cell / float(np.median(sighting.gsd)))) if len(sighting.rows) else 1
         smooth = cv2.blur(squared, (side, side), borderType=cv2.BORDER_REFLECT)
         columns, lines = sighting.pixels.astype(np.int64).T if len(sighting.rows) else np.zeros((2, 0), np.int64)
@@ -154,26 +158,38 @@ def fit_errors(samples: ErrorSamples) -> ErrorModel:
         others = _fit(samples.select(folds != fold))
         fold_samples = samples.select(folds == fold)
         predicted[folds == fold] = others.predict(fold_samples.train_db, fold_samples.score)
-    excess = samples.held_db - predicted
+    predicted_db, true_db = _by_cell(samples, predicted)
     return ErrorModel(
         middle_db=model.middle_db,
         by_training=model.by_training,
         by_score=model.by_score,
         num_cells=model.num_cells,
         num_photographs=model.num_photographs,
-        margin_db=float(max(0.0, -np.quantile(excess, MARGIN))),
-        rank=rank_correlation(predicted, samples.held_db),
-        good=_good_share(excess, folds),
+        margin_db=float(max(0.0, -np.quantile(true_db - predicted_db, MARGIN))),
+        rank=rank_correlation(predicted_db, true_db),
+        good=_good_share(samples, predicted, folds),
     )
 
 
-def _good_share(excess: FloatArray, folds: NDArray[np.int64]) -> float:
-    """Share of the samples (M,) at least as good as called, a fold by the margin of the others."""
-    is_good = np.zeros(len(excess), bool)
+def _by_cell(samples: ErrorSamples, predicted: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Predicted and true y of each cell that the samples (M,) show, over their photographs."""
+    cells, cell_of = np.unique(samples.rows, return_inverse=True)
+    counts = np.bincount(cell_of, minlength=len(cells))
+    error = np.bincount(cell_of, weights=10 ** (-samples.held_db / 10)) / counts
+    return np.bincount(cell_of, weights=predicted) / counts, decibels(error)
+
+
+def _good_share(samples: ErrorSamples, predicted: FloatArray, folds: NDArray[np.int64]) -> float:
+    """Share of the cells at least as good as called, a fold's by the margin of the others'."""
+    excess = []
     for fold in range(int(folds.max()) + 1):
-        margin_db = -np.quantile(excess[folds != fold], MARGIN)
-        is_good[folds == fold] = excess[folds == fold] >= -margin_db
-    return float(is_good.mean())
+        predicted_db, true_db = _by_cell(samples.select(folds == fold), predicted[folds == fold])
+        excess.append(true_db - predicted_db)
+    is_good = [
+        excess[fold] >= np.quantile(np.concatenate([part for other, part in enumerate(excess) if other != fold]), MARGIN)
+        for fold in range(len(excess))
+    ]
+    return float(np.concatenate(is_good).mean())
 
 
 def _fit(samples: ErrorSamples) -> ErrorModel:
