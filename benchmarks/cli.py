@@ -56,7 +56,7 @@ def bench(
     ] = "interleaved",
     off_path: Annotated[Path | None, typer.Option(help="train, methods: folder of views never flown, scored as well.")] = None,
     long_side_px: LongSide = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="methods, paper: steps of a device, else 500; kinds: else 800.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="methods, paper: steps of a device, else 500; kinds: else 1,500.")] = None,
     field_steps: Annotated[int | None, typer.Option(min=1, help="methods, paper: steps of a radiance field; 1,000 without it.")] = None,
     lpips_weights: LpipsWeights = None,
     lpips_net: LpipsNet = "vgg",

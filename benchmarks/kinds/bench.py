@@ -93,7 +93,7 @@ class KindsBench:
     """Those of `HELPERS` and `ADDED` that are measured."""
     seeds: tuple[int, ...] = (0,)
     long_side_px: int = 160
-    num_steps: int = 720
+    num_steps: int = 1_500
 
     def __post_init__(self) -> None:
         for names, choices, noun in ((self.kinds, KINDS, "kind of scene"), (self.helpers, {**HELPERS, **ADDED}, "helper")):

@@ -29,7 +29,7 @@ BANDS = (
     "largest parallax in degrees",
     "ground sampling distance",
     "share of the Gaussians there that photographs constrain",
-    "predicted PSNR in dB",
+    "PSNR in dB predicted for views like the photographs",
     "PSNR that nine of ten cells exceed in dB",
     "1 known, 2 weak, 3 hole",
     "area of walls",
