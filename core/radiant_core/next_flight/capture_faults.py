@@ -128,14 +128,19 @@ def _brightness_steps(scene: SfmScene, images: Sequence[NDArray[np.uint8]]) -> F
     order = sorted(range(len(images)), key=lambda row: scene.cameras.names[row])
     rows, pixels = scene.observed_pixels(scene.cameras)
     point, camera = scene.observations[rows].T
-    levels: list[dict[int, float]] = [{} for _ in images]
-    for one, view, pixel in zip(point.tolist(), camera.tolist(), pixels, strict=True):
-        column, line = np.minimum((pixel * factors[view]).astype(np.int64), sizes[view] - 1)
-        linear = float((images[view][line, column].astype(np.float64) / 255).mean()) ** 2.2
-        levels[view][one] = max(linear, 1e-4)
+    seen = [_levels(images[view], point[camera == view], pixels[camera == view] * factors[view]) for view in range(len(images))]
     steps = []
     for before, after in pairwise(order):
-        both = levels[before].keys() & levels[after].keys()
+        (points_before, levels_before), (points_after, levels_after) = seen[before], seen[after]
+        both, rows_before, rows_after = np.intersect1d(points_before, points_after, assume_unique=True, return_indices=True)
         if len(both) >= LEAST_POINTS:
-            steps.append(float(np.median([np.log2(levels[after][one] / levels[before][one]) for one in both])))
+            steps.append(float(np.median(levels_after[rows_after] - levels_before[rows_before])))
     return np.array(steps)
+
+
+def _levels(image: NDArray[np.uint8], points: NDArray[np.int64], pixels: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+    """Which points (P,) one photograph shows, each once, and their brightness (P,) in stops."""
+    points, first = np.unique(points, return_index=True)
+    column, line = np.minimum(pixels[first].astype(np.int64), np.array(image.shape[1::-1]) - 1).T
+    linear = (image[line, column].astype(np.float64) / 255).mean(axis=1) ** 2.2
+    return points, np.log2(np.maximum(linear, 1e-4))

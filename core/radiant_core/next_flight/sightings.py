@@ -82,10 +82,9 @@ class Sights:
         self.map_frame = map_frame
         self._world = np.ascontiguousarray(map_frame.to_world(facets.places).T)
 
-    def sighting(self, cameras: Cameras, index: int) -> Sighting:
-        """What camera `index` sees."""
+    def _sighting(self, cameras: Cameras, index: int, eye: FloatArray) -> Sighting:
+        """What camera `index` sees from eye (3,) on the map."""
         K, pose, size_wh = cameras.Ks[index], cameras.cam_from_world[index], cameras.sizes_wh[index]
-        eye = self.map_frame.from_world(cameras.centers[index : index + 1])[0]
         projection = K @ pose[:3]
         depths = projection[2, :3] @ self._world + projection[2, 3]
         front = np.flatnonzero(depths > 0)
@@ -109,9 +108,9 @@ class Sights:
 
     def all_of(self, cameras: Cameras, report: Callable[[int, int], None] = lambda num_done, total: None) -> tuple[Sighting, ...]:
         """What each camera sees; `report` hears how many are done."""
-        sightings: list[Sighting] = []
+        sightings, eyes = list[Sighting](), self.map_frame.from_world(cameras.centers)
         for index in range(len(cameras)):
-            sightings.append(self.sighting(cameras, index))
+            sightings.append(self._sighting(cameras, index, eyes[index]))
             report(index + 1, len(cameras))
         return tuple(sightings)
 
