@@ -16,10 +16,10 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.pipeline import run
 from radiant_core.hierarchy import refining_plan
 from radiant_core.sfm.config import SfmConfig
-from tests.app.blank_reports import blank_pictures
+from tests.app.blank_reports import blank_pictures, pictures_of_a_test
 from tests.app.pipeline_kit import FOUR, TINY, Finished
 
-__all__ = ["blank_pictures", "finished", "hamlet", "hamlet_scene", "paper_models", "short_rounds"]
+__all__ = ["blank_pictures", "finished", "hamlet", "hamlet_scene", "paper_models", "pictures_of_a_test", "short_rounds"]
 
 
 @pytest.fixture(scope="session")
