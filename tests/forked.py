@@ -55,11 +55,15 @@ def start_module(*arguments: object, log: IO[Any], cwd: Path, environment: Mappi
 
 
 def run_module(
-    *arguments: object, cwd: Path | None = None, timeout_s: float = 300, environment: Mapping[str, str] = os.environ
+    *arguments: object,
+    cwd: Path | None = None,
+    timeout_s: float = 300,
+    environment: Mapping[str, str] = os.environ,
+    imported: Sequence[str] = IMPORTED,
 ) -> subprocess.CompletedProcess[str]:
-    """What `python -m ARGUMENTS` prints, and its exit code."""
+    """What `python -m ARGUMENTS` prints, and its exit code; `imported` are the libraries of the process it is forked from."""
     command = [*map(str, arguments)]
-    if (server := open_server(IMPORTED, environment)) is None:
+    if (server := open_server(imported, environment)) is None:
         starting = [sys.executable, "-m", *command]
         return subprocess.run(starting, capture_output=True, text=True, cwd=cwd, env=environment, timeout=timeout_s, check=False)
     with Path(os.devnull).open() as nothing, tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:

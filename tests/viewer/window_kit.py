@@ -9,11 +9,16 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
+from tests.forked import run_module
+
 ROOT = Path(__file__).parents[2]
+LIBRARIES = ("zlib", "torch", "cv2", "pydantic", "scipy.optimize", "scipy.spatial", "shapely", "matplotlib.figure", "pyvista", "pyvistaqt")
+"""What a window imports before it shows anything, 1.7 s of CPU time. Libraries alone, as in `forked.IMPORTED`."""
 
 
 @contextmanager
@@ -46,11 +51,17 @@ def patient(seconds: float) -> float:
     return seconds * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
-def run_python(code: str | list[str], *arguments: str, patience_s: float = 300, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run code, or a module named by `["-m", …]`, in a process with every warning as an error."""
+def run_python(
+    code: str | list[str], *arguments: str, patience_s: float = 300, anew: bool = False, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Run code, or a module named by `["-m", …]`, in a process with every warning as an error: a fork of one that has
+    imported LIBRARIES, or one that starts anew."""
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
-    command = [sys.executable, "-W", "error", *(["-c", code] if isinstance(code, str) else code), *arguments]
+    program = ["-W", "error", *(["-c", code] if isinstance(code, str) else code), *arguments]
     # A home of its own: windows remember their size there.
     with tempfile.TemporaryDirectory() as home:
         env = {name: value for name, value in os.environ.items() if name not in hidden} | {"XDG_CONFIG_HOME": home} | environment
+        if not anew and all(map(find_spec, ("PySide6", "pyvistaqt"))):
+            return run_module("tests.run_code", *program, cwd=ROOT, timeout_s=patient(patience_s), environment=env, imported=LIBRARIES)
+        command = [sys.executable, *program]
         return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, timeout=patient(patience_s), check=False)
