@@ -44,10 +44,10 @@ def start_server_of_tests(names: Sequence[str], environment: Mapping[str, str]) 
     return start_server((*IMPORTED, *names), environment)
 
 
-def start_module(*arguments: object, log: IO[Any], cwd: Path, environment: Mapping[str, str]) -> Any:
+def start_module(*arguments: object, log: IO[Any], cwd: Path, environment: Mapping[str, str], imported: Sequence[str] = IMPORTED) -> Any:
     """`python -m ARGUMENTS` with all that it prints in a log; what Popen and ForkedProcess have alike."""
     command = [*map(str, arguments)]
-    if (server := open_server(IMPORTED, environment)) is None:
+    if (server := open_server(imported, environment)) is None:
         starting = [sys.executable, "-m", *command]
         return subprocess.Popen(starting, cwd=cwd, env=environment, stdout=log, stderr=log, start_new_session=True)
     with Path(os.devnull).open() as nothing:
