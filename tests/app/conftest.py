@@ -17,9 +17,20 @@ from radiant_app.run.pipeline import run
 from radiant_core.hierarchy import refining_plan
 from radiant_core.sfm.config import SfmConfig
 from tests.app.blank_reports import blank_pictures, pictures_of_a_test
+from tests.app.fusing import fused_by_forks
 from tests.app.pipeline_kit import FOUR, TINY, Finished
 
-__all__ = ["blank_pictures", "finished", "hamlet", "hamlet_project", "hamlet_scene", "paper_models", "pictures_of_a_test", "short_rounds"]
+__all__ = [
+    "blank_pictures",
+    "finished",
+    "fused_by_forks",
+    "hamlet",
+    "hamlet_project",
+    "hamlet_scene",
+    "paper_models",
+    "pictures_of_a_test",
+    "short_rounds",
+]
 
 
 @pytest.fixture(scope="session")
