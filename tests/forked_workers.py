@@ -100,7 +100,7 @@ def serve(address: str, *names: str) -> None:
         while True:
             # Standard input ends with the process that started this one.
             if sys.stdin in select.select([listener, sys.stdin], [], [])[0]:
-                return
+                os._exit(0)
             client, _ = listener.accept()
             if os.fork():
                 client.close()
