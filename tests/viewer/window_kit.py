@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -82,9 +82,9 @@ def page_server(*arguments: object, log: Path, patience_s: float) -> Iterator[tu
         process = start_module(*arguments, log=words, cwd=ROOT, environment=os.environ, imported=LIBRARIES)
 
     def interrupt() -> int:
-        with suppress(ProcessLookupError):
+        if process.poll() is None:
             os.kill(process.pid, signal.SIGINT)
-        return process.wait(patience_s)
+        return process.wait(patient(patience_s))
 
     deadline_s = time.monotonic() + patient(patience_s)
     while (printed := ADDRESS.search(log.read_text())) is None:
