@@ -45,6 +45,13 @@ def start_server_of_tests(names: Sequence[str], environment: Mapping[str, str]) 
     return start_server((*IMPORTED, *names), environment)
 
 
+def server_of(imported: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
+    """The server of processes that have imported these, however long that takes on a machine at work."""
+    if (started := start_server(imported, environment)) is not None:
+        started.is_ready(PATIENCE_S)
+    return open_server(imported, environment)
+
+
 def start_module(*arguments: object, log: IO[Any], cwd: Path, environment: Mapping[str, str], imported: Sequence[str] = IMPORTED) -> Any:
     """`python -m ARGUMENTS` with all that it prints in a log; what Popen and ForkedProcess have alike."""
     command = [*map(str, arguments)]
