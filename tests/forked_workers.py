@@ -9,6 +9,7 @@ of a process share a server for each set of imports.
 from __future__ import annotations
 
 import atexit
+import contextlib
 import json
 import os
 import select
@@ -20,7 +21,6 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -51,7 +51,7 @@ with socket.socket(socket.AF_UNIX) as server:
 _environment = dict(os.environ)
 
 
-@contextmanager
+@contextlib.contextmanager
 def forked_workers(folder: Path, module: str = WORKER) -> Iterator[Callable[[NodeTask], list[str]]]:
     """The `command` of executors whose nodes run as forks; the address of their server is `folder`/workers.
     `module` has the `main` that runs a node."""
@@ -92,7 +92,8 @@ def serve(address: str, *names: str) -> None:
     for name in names:
         import_module(name)
 
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    # Waited for rather than ignored: their CPU time is this server's then, and so a test's.
+    signal.signal(signal.SIGCHLD, lambda number, frame: _collect_ended())
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(address)
         listener.listen()
@@ -117,6 +118,12 @@ def serve(address: str, *names: str) -> None:
             threading.Thread(target=_end_with, args=(client,), daemon=True).start()
             client.send(str(import_module(module).main(arguments)).encode())
             os._exit(0)
+
+
+def _collect_ended() -> None:
+    with contextlib.suppress(ChildProcessError):
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
 
 
 def _end_with(client: socket.socket) -> None:
