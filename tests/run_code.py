@@ -6,6 +6,7 @@ from __future__ import annotations
 import runpy
 import sys
 import warnings
+from pathlib import Path
 
 
 def main(words: list[str]) -> None:
@@ -21,6 +22,7 @@ def main(words: list[str]) -> None:
         exec(compile(words[1], "<string>", "exec"), {"__name__": "__main__"})
     else:
         sys.argv = words
+        sys.path.insert(0, str(Path(words[0]).resolve().parent))
         runpy.run_path(words[0], run_name="__main__")
 
 

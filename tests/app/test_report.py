@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,12 +37,11 @@ def heard() -> list[Event]:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory, heard: list[Event]) -> RunResult:
+def finished(hamlet_project: Path, tmp_path_factory: pytest.TempPathFactory, heard: list[Event]) -> RunResult:
     out = tmp_path_factory.mktemp("reports") / "run"
-    images = sample_scenes_folder() / "hamlet" / "images"
     train = TrainOptions(long_side_px=64, num_steps=20, max_num_splats=600)
     with drawn_pictures():
-        return run(RunConfig(source=images, out=out, train=train, plan=FOUR), heard.append)
+        return run(RunConfig(source=hamlet_project, out=out, train=train, plan=FOUR), heard.append)
 
 
 @pytest.fixture
