@@ -34,6 +34,7 @@ from radiant_core.render.contract import RenderOutput, SplatTensors
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from tests import forked
+from tests.cpu_seconds import CpuSeconds
 
 pytest.MonkeyPatch().setattr(local, "LEAST_FORKED", 1)
 pytest.MonkeyPatch().setattr(local, "open_server", forked.open_server_of_tests)
@@ -47,6 +48,11 @@ atexit.register(forked.end_all)
 # a failure for everybody.
 hypothesis.settings.register_profile("radiant", deadline=None, derandomize=True, database=None)
 hypothesis.settings.load_profile("radiant")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(CpuSeconds(), "cpu seconds")
+
 
 _SPLATS = {"means": "N 3", "quats": "N 4", "log_scales": "N 3", "logit_opacities": "N", "sh0": "N 1 3", "shN": "N K 3"}
 _RENDER = {"images": "C H W 3", "alphas": "C H W", "depths": "C H W", "radii_px": "C N", "means2d": "C N 2"}

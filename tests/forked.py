@@ -21,6 +21,7 @@ from radiant_app.executors.sessions import signal_session
 
 IMPORTED = ("zlib", "torch", "pycolmap", "cv2", "pydantic", "scipy.optimize", "scipy.spatial", "shapely", "typer", "rich.progress")
 """Libraries alone, for commands: what the project's modules import, and when, is as in a process that starts anew."""
+PATIENCE_S = 600.0
 _keeping = keep_servers()
 
 
@@ -44,10 +45,17 @@ def start_server_of_tests(names: Sequence[str], environment: Mapping[str, str]) 
     return start_server((*IMPORTED, *names), environment)
 
 
-def start_module(*arguments: object, log: IO[Any], cwd: Path, environment: Mapping[str, str]) -> Any:
+def server_of(imported: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
+    """The server of processes that have imported these, however long that takes on a machine at work."""
+    if (started := start_server(imported, environment)) is not None:
+        started.is_ready(PATIENCE_S)
+    return open_server(imported, environment)
+
+
+def start_module(*arguments: object, log: IO[Any], cwd: Path, environment: Mapping[str, str], imported: Sequence[str] = IMPORTED) -> Any:
     """`python -m ARGUMENTS` with all that it prints in a log; what Popen and ForkedProcess have alike."""
     command = [*map(str, arguments)]
-    if (server := open_server(IMPORTED, environment)) is None:
+    if (server := server_of(imported, environment)) is None:
         starting = [sys.executable, "-m", *command]
         return subprocess.Popen(starting, cwd=cwd, env=environment, stdout=log, stderr=log, start_new_session=True)
     with Path(os.devnull).open() as nothing:
@@ -55,11 +63,15 @@ def start_module(*arguments: object, log: IO[Any], cwd: Path, environment: Mappi
 
 
 def run_module(
-    *arguments: object, cwd: Path | None = None, timeout_s: float = 300, environment: Mapping[str, str] = os.environ
+    *arguments: object,
+    cwd: Path | None = None,
+    timeout_s: float = 300,
+    environment: Mapping[str, str] = os.environ,
+    imported: Sequence[str] = IMPORTED,
 ) -> subprocess.CompletedProcess[str]:
-    """What `python -m ARGUMENTS` prints, and its exit code."""
+    """What `python -m ARGUMENTS` prints, and its exit code; `imported` are the libraries of the process it is forked from."""
     command = [*map(str, arguments)]
-    if (server := open_server(IMPORTED, environment)) is None:
+    if (server := server_of(imported, environment)) is None:
         starting = [sys.executable, "-m", *command]
         return subprocess.run(starting, capture_output=True, text=True, cwd=cwd, env=environment, timeout=timeout_s, check=False)
     with Path(os.devnull).open() as nothing, tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:

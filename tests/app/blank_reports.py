@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import cv2
@@ -16,18 +18,37 @@ from radiant_app.report.prediction_error import SYSTEM_NAME
 BLANK = np.full((2, 2, 3), 255, np.uint8)
 
 
+_DRAWN = {"_save_pictures": html._save_pictures, "_save_sides": html._save_sides}
+
+
 def leave_pictures_blank(patch: pytest.MonkeyPatch) -> None:
     """From here on, reports that this process writes have blank pictures of the same names."""
     patch.setattr(html, "_save_pictures", _save_blank_pictures)
     patch.setattr(html, "_save_sides", _save_blank_sides)
 
 
+@contextmanager
+def drawn_pictures() -> Iterator[None]:
+    """Within the block, reports have the pictures that they have outside of tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, function in _DRAWN.items():
+            patch.setattr(html, name, function)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def blank_pictures() -> Iterator[None]:
+    """Runs that tests and their fixtures make leave pictures blank, but within `drawn_pictures`."""
+    with pytest.MonkeyPatch.context() as patch:
+        leave_pictures_blank(patch)
+        yield
+
+
 @pytest.fixture(autouse=True)
-def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs that a test itself makes leave them blank; those of fixtures of a module or session, and of
-    tests marked `draws`, draw them."""
-    if request.node.get_closest_marker("draws") is None:
-        leave_pictures_blank(monkeypatch)
+def pictures_of_a_test(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Runs that a test marked `draws` makes itself draw their pictures."""
+    with nullcontext() if request.node.get_closest_marker("draws") is None else drawn_pictures():
+        yield
 
 
 def _save_blank_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borders: bool) -> dict[str, Path]:

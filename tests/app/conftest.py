@@ -16,10 +16,21 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.pipeline import run
 from radiant_core.hierarchy import refining_plan
 from radiant_core.sfm.config import SfmConfig
-from tests.app.blank_reports import blank_pictures
+from tests.app.blank_reports import blank_pictures, pictures_of_a_test
+from tests.app.fusing import fused_by_forks
 from tests.app.pipeline_kit import FOUR, TINY, Finished
 
-__all__ = ["blank_pictures", "finished", "hamlet", "hamlet_scene", "paper_models", "short_rounds"]
+__all__ = [
+    "blank_pictures",
+    "finished",
+    "fused_by_forks",
+    "hamlet",
+    "hamlet_project",
+    "hamlet_scene",
+    "paper_models",
+    "pictures_of_a_test",
+    "short_rounds",
+]
 
 
 @pytest.fixture(scope="session")
@@ -39,14 +50,20 @@ def finished(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> Finished
 
 
 @pytest.fixture(scope="session")
-def hamlet_scene(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder `scene` of the hamlet from its known cameras, 10 photographs to train on; the
-    photographs lie in hamlet/images beside it."""
-    folder = tmp_path_factory.mktemp("scenes")
-    shutil.copytree(hamlet, folder / "hamlet" / "images")
-    shutil.copytree(hamlet.parent / "known", folder / "hamlet" / "sparse" / "0")
-    sfm(folder / "hamlet", folder / "scene", SfmConfig(), ProgressDisplay(Console(quiet=True)))
-    return folder / "scene"
+def hamlet_project(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The hamlet as a COLMAP project: its cameras are known, so that no run of it matches photographs."""
+    folder = tmp_path_factory.mktemp("projects") / "hamlet"
+    shutil.copytree(hamlet, folder / "images")
+    shutil.copytree(hamlet.parent / "known", folder / "sparse" / "0")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def hamlet_scene(hamlet_project: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder `scene` of that project, 10 photographs to train on."""
+    folder = tmp_path_factory.mktemp("scenes") / "scene"
+    sfm(hamlet_project, folder, SfmConfig(), ProgressDisplay(Console(quiet=True)))
+    return folder
 
 
 @pytest.fixture(scope="session")

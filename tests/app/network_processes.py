@@ -27,10 +27,10 @@ from radiant_app.network import line as lines
 from radiant_app.run import over_network
 from radiant_app.run.pipeline import run
 from radiant_core.io.run_store import read_json, write_json
+from tests.app import network_worker
 from tests.app.blank_reports import leave_pictures_blank
 from tests.app.network_nodes import Nodes, split_photographs
 from tests.app.network_worker import HOLD, STARTS
-from tests.app.network_worker import command as worker_command
 from tests.forked import run_module, start_module
 from tests.forked_workers import client_command
 
@@ -43,7 +43,9 @@ WORKERS = "RADIANT_TEST_WORKERS"
 
 def command(task: NodeTask) -> list[str]:
     """A worker with one core."""
-    return client_command(Path(os.environ[WORKERS]), task) if WORKERS in os.environ else worker_command(task)
+    if WORKERS in os.environ:
+        return client_command(Path(os.environ[WORKERS]), task, network_worker.__name__)
+    return network_worker.command(task)
 
 
 @dataclass

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import subprocess
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 
+import pytest
+
+from radiant_app.cli import app as cli
 from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
 from radiant_app.events import Event
 from radiant_app.run.pipeline import RunResult
@@ -19,3 +25,16 @@ TINY_OPTIONS = ("--steps", TINY.num_steps, "--long-side-px", TINY.long_side_px, 
 
 def radiant(*arguments: object) -> subprocess.CompletedProcess[str]:
     return run_module("radiant_app", *arguments)
+
+
+def refused(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """The same in this process, without its signals and streams: for commands that do nothing but refuse."""
+    words, said = [*map(str, arguments)], (StringIO(), StringIO())
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said[0]), redirect_stderr(said[1]):
+        patch.setattr(sys, "argv", ["radiant", *words])
+        for name in ("make_streams_last", "interrupt_on_signals", "stop_repeating_interrupt"):
+            patch.setattr(cli, name, lambda: None)
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    assert isinstance(ended.value.code, int)
+    return subprocess.CompletedProcess(words, ended.value.code, *(text.getvalue() for text in said))

@@ -121,11 +121,11 @@ def test_all_devices_work_where_they_are_asked_for(plan: PlanOptions, said: str)
     assert choose_workforce(replace(CONFIG, plan=plan), system, 40, TRAIN).warning is None
 
 
-def test_a_run_of_few_photographs_is_one_devices_and_says_so(hamlet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_of_few_photographs_is_one_devices_and_says_so(hamlet_project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pooled, "choose_workforce", few_photographs.choose_workforce)
     events: list[Event] = []
     (tmp_path / "system.toml").write_text(dump_system(even_system(2, 2)))
-    config = RunConfig(source=hamlet, system=tmp_path / "system.toml", out=tmp_path / "run", train=TINY)
+    config = RunConfig(source=hamlet_project, system=tmp_path / "system.toml", out=tmp_path / "run", train=TINY)
     result = run(config, events.append)
     _, edge_plans = load_plan(config.out / "plan.json")
     assert [plan.device_ids for plan in edge_plans] == [("edge-1-1",)]

@@ -15,7 +15,7 @@ from radiant_core.sfm.config import SfmConfig
 from tests.stress.kill_harness import differing_files, run_killed, run_whole
 
 RESULTS = ("scene.ply",)
-OPTIONS = ("--steps", "600", "--long-side-px", "160", "--checkpoint-every", "0.05s")
+OPTIONS = ("--steps", "300", "--long-side-px", "160", "--checkpoint-every", "0.05s")
 SLOW_WRITES = """
 import sys, time
 import radiant_core.io.array_file as array_file
@@ -45,7 +45,7 @@ def test_a_training_killed_while_it_writes_and_while_it_trains_ends_with_the_sam
     (project / "images").symlink_to(sample_scenes_folder() / "hamlet" / "images")
     (project / "sparse").symlink_to(sample_scenes_folder() / "hamlet" / "known")
     sfm(project, scene, SfmConfig(), ProgressDisplay(Console(quiet=True)))
-    run_whole(radiant_train(scene, whole))
+    run_whole(radiant_train(scene, whole, "--checkpoint-every", "60s"))
 
     def half_written() -> bool:
         return any(step_of(path) >= 20 and path.stat().st_size > 0 for path in killed.glob("checkpoints/.*.part"))

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.fields import config_of as run_config
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided, Event, Warned
@@ -39,9 +38,8 @@ time_s = 36000.0
 """
 
 
-def config_of(folder: Path) -> RunConfig:
-    images = sample_scenes_folder() / "hamlet" / "images"
-    return run_config({"source": images, "out": folder / "run", "system": folder / "system.toml", "preset": "paper", **TINY})
+def config_of(project: Path, folder: Path) -> RunConfig:
+    return run_config({"source": project, "out": folder / "run", "system": folder / "system.toml", "preset": "paper", **TINY})
 
 
 def decided(events: list[Event]) -> list[Decision]:
@@ -49,11 +47,11 @@ def decided(events: list[Event]) -> list[Decision]:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult, list[Event]]:
+def finished(hamlet_project: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult, list[Event]]:
     folder = tmp_path_factory.mktemp("paper")
     (folder / "system.toml").write_text(SYSTEM)
     events: list[Event] = []
-    return folder, run(config_of(folder), events.append), events
+    return folder, run(config_of(hamlet_project, folder), events.append), events
 
 
 def test_every_skip_is_off_and_said(finished: tuple[Path, RunResult, list[Event]]) -> None:

@@ -28,7 +28,7 @@ from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.sfm.world_frame.world import cameras_of
 from radiant_core.waypoints.region import load_region
-from tests.app.pipeline_kit import TINY, Finished, radiant
+from tests.app.pipeline_kit import TINY, Finished, radiant, refused
 
 
 def test_commands_on_a_finished_run(finished: Finished, tmp_path: Path) -> None:
@@ -154,11 +154,11 @@ def test_commands_refuse_what_is_damaged_or_taken(finished: Finished, tmp_path: 
         (("render", config.out, "--cameras", config.out / "scene.ply", "--out", tmp_path / "r"), "scene.ply"),
     ]
     for arguments, told in cases:
-        result = radiant(*arguments)
+        result = (radiant if arguments is cases[0][0] else refused)(*arguments)
         assert result.returncode == 2, (arguments, result.stderr)
         assert told in result.stderr and "Traceback" not in result.stderr, (arguments, result.stderr)
     (edge / "task.json").unlink()
-    assert radiant("join", copy, "--out", tmp_path / "a.ply").returncode == 2
+    assert refused("join", copy, "--out", tmp_path / "a.ply").returncode == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["copy", "plan.json"]
 
 

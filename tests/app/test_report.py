@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,9 @@ from radiant_app.report.survey import area_text, length_text, observed_area, sam
 from radiant_app.run.pipeline import RunResult, run
 from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
+from radiant_viewer.pictures.images import load_image
 from radiant_viewer.pictures.turntable import MARGIN, crop_to, turntable
+from tests.app.blank_reports import drawn_pictures
 from tests.app.pipeline_kit import FOUR
 from tests.browsers import chromium
 from tests.core.scenes import cameras_above, ground_splats
@@ -34,11 +37,11 @@ def heard() -> list[Event]:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory, heard: list[Event]) -> RunResult:
+def finished(hamlet_project: Path, tmp_path_factory: pytest.TempPathFactory, heard: list[Event]) -> RunResult:
     out = tmp_path_factory.mktemp("reports") / "run"
-    images = sample_scenes_folder() / "hamlet" / "images"
     train = TrainOptions(long_side_px=64, num_steps=20, max_num_splats=600)
-    return run(RunConfig(source=images, out=out, train=train, plan=FOUR), heard.append)
+    with drawn_pictures():
+        return run(RunConfig(source=hamlet_project, out=out, train=train, plan=FOUR), heard.append)
 
 
 @pytest.fixture
@@ -69,7 +72,12 @@ def test_the_page_begins_with_the_model_and_ends_with_what_is_folded_away(finish
     assert places == sorted(places)
     assert "<h1>hamlet</h1>" in text and re.search(r"12 photographs of [\d,]+ m².*EPSG:326", text)
     assert "{&#39;" not in text and "None" not in re.sub(r'"data:[^"]*"', "", text), "settings are no dictionaries of Python"
-    assert (finished.folder / "pictures" / "model.png").is_file()
+
+
+def test_the_pictures_of_a_run_are_drawn(finished: RunResult) -> None:
+    for name in ("model", "regions", "regions_phone", "cameras", "timeline", "gantt"):
+        picture = load_image(finished.folder / "pictures" / f"{name}.png")
+        assert min(picture.shape[:2]) > 100 and picture.std() > 5, name
 
 
 def test_a_run_tells_how_far_its_report_is(finished: RunResult, heard: list[Event]) -> None:

@@ -51,9 +51,9 @@ def machines_decided(out: Path) -> dict[str, object]:
 
 
 @pytest.fixture(scope="module")
-def alone(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunResult, list[Event]]:
+def alone(hamlet_project: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunResult, list[Event]]:
     events: list[Event] = []
-    config = RunConfig(source=hamlet, out=tmp_path_factory.mktemp("alone") / "run", train=SMALL)
+    config = RunConfig(source=hamlet_project, out=tmp_path_factory.mktemp("alone") / "run", train=SMALL)
     return config, run(config, events.append), events
 
 
@@ -103,8 +103,8 @@ def test_a_resumed_run_keeps_its_division_when_memory_is_short(
     assert devices_of(config.out) == ["edge-1-1"] and machines_decided(config.out)["forced"] is False
 
 
-def test_a_machine_is_divided_by_force(hamlet: Path, tmp_path: Path) -> None:
-    config = RunConfig(source=hamlet, out=tmp_path / "run", train=SMALL, plan=FOUR)
+def test_a_machine_is_divided_by_force(hamlet_project: Path, tmp_path: Path) -> None:
+    config = RunConfig(source=hamlet_project, out=tmp_path / "run", train=SMALL, plan=FOUR)
     run(config)
     edge_plans = load_plan(config.out / "plan.json")[1]
     assert [plan.device_ids for plan in edge_plans] == [("edge-1-1", "edge-1-2"), ("edge-2-1", "edge-2-2")]
@@ -113,7 +113,7 @@ def test_a_machine_is_divided_by_force(hamlet: Path, tmp_path: Path) -> None:
 
 
 def test_where_memory_is_short_several_devices_train_one_after_another(
-    hamlet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hamlet_project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The hamlet's 10 training photographs are too few to divide: here three are a device's.
     monkeypatch.setattr(this_machine, "PHOTOGRAPHS_OF_A_DEVICE", 3)
@@ -121,7 +121,7 @@ def test_where_memory_is_short_several_devices_train_one_after_another(
     assert half.needed_bytes < whole.needed_bytes
     monkeypatch.setattr(this_machine, "available_bytes", lambda: round((half.needed_bytes + whole.needed_bytes) / 2 / MEMORY_SHARE))
     events: list[Event] = []
-    config = RunConfig(source=hamlet, out=tmp_path / "run", train=SMALL)
+    config = RunConfig(source=hamlet_project, out=tmp_path / "run", train=SMALL)
     result = run(config, events.append)
     assert devices_of(config.out) == ["edge-1-1", "edge-1-2"]
     (decision,) = (event.decision for event in events if isinstance(event, Decided) and event.decision.topic == "machines")

@@ -62,7 +62,7 @@ def test_a_page_of_every_part_is_made_once_and_kept(hamlet_scene: Path, paper_mo
 
 
 def test_the_main_table_is_made_row_by_row_and_no_row_twice(
-    hamlet_scene: Path, paper_models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hamlet: Path, hamlet_scene: Path, paper_models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     every = paper_table.table_methods(2)
     assert [method.name.removesuffix("-style") for method in every] == [*MILL_19, "F3DGS"]
@@ -73,7 +73,7 @@ def test_the_main_table_is_made_row_by_row_and_no_row_twice(
     rows = {row["method"]: row for row in read_json(bench.out / "paper.json")["parts"]["table2"]["figures"]["table"]}
     assert tuple(rows) == some and all(np.isfinite(row["psnr_db"]) and row["lpips"] is None for row in rows.values())
     trained = load_arms(hamlet_scene, bench.out, Layout(num_edges=2, num_devices=1), bench_settings(48, 8)).scene.training.cameras.names
-    photographs = sum((hamlet_scene.parent / "hamlet" / "images" / name).stat().st_size for name in trained)
+    photographs = sum((hamlet / name).stat().st_size for name in trained)
     assert rows["3DGS"]["sent_bytes"] == rows["Mega-NeRF-style"]["sent_bytes"] == photographs > 0
     assert rows["Mega-NeRF-style"]["num_gaussians"] == 0 < rows["Mega-NeRF-style"]["num_parameters"]
     emulated = {name for name, row in rows.items() if row["scene_s"] is not None}

@@ -7,11 +7,11 @@ from importlib.util import find_spec
 
 import pytest
 
-from tests.app.blank_reports import blank_pictures
+from tests.app.blank_reports import blank_pictures, pictures_of_a_test
 
 from .ray_machines import ray_cluster
 
-__all__ = ["address", "blank_pictures"]
+__all__ = ["address", "blank_pictures", "pictures_of_a_test"]
 
 
 @pytest.fixture(scope="session")

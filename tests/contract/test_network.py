@@ -24,7 +24,6 @@ from radiant_app.network import hub
 from radiant_app.run import over_network
 from radiant_app.run.pipeline import RunResult, run
 from radiant_core.io.records import load_cameras
-from tests.app.blank_reports import leave_pictures_blank
 from tests.app.network_nodes import Nodes, nodes_in, split_photographs
 from tests.forked_workers import forked_workers
 
@@ -63,10 +62,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
         for module in (local, network, over_network):
             patch.setattr(module, "worker_command", command)
         patch.setattr("radiant_app.run.stages.LocalExecutor", lambda **options: local.LocalExecutor(**{**options, "command": command}))
-        with pytest.MonkeyPatch.context() as blank:
-            leave_pictures_blank(blank)
-            known = SfmOptions(poses=hamlet / "known")
-            here = run(RunConfig(source=source, frames="known", sfm=known, system=system, out=folder / "here", train=TINY))
+        known = SfmOptions(poses=hamlet / "known")
+        here = run(RunConfig(source=source, frames="known", sfm=known, system=system, out=folder / "here", train=TINY))
         nodes.make(EDGES)
         for edge in EDGES:
             nodes.start_edge(edge)

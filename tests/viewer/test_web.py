@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,6 +22,7 @@ from radiant_viewer.web.browser_splats import MARK_COLOR
 from radiant_viewer.web.rows import camera_headers, camera_pictures, camera_rows, layer_row, run_camera_figures
 from radiant_viewer.web.server import address_text, open_page, require_web
 from tests.viewer.made_up_run import made_up_town, save_run
+from tests.viewer.window_kit import page_server
 
 DEADLINE_S = 120
 """For each step, on a busy machine; a step takes under a second on an idle one."""
@@ -38,21 +36,13 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def address(run_folder: Path) -> Iterator[str]:
+def address(run_folder: Path, tmp_path: Path) -> Iterator[str]:
     pytest.importorskip("trame_vuetify", reason="the extra 'web' is not installed")
-    command = [sys.executable, "-m", "radiant_app", "inspect", str(run_folder), "--web", "--port", "0"]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert server.stdout is not None
-    first = server.stdout.readline()
-    found = re.search(r"http://127\.0\.0\.1:\d+/\?secret=\S{32}", first)
-    if found is None:
-        server.kill()
-        pytest.fail(f"the page gave no address but {first!r}: {server.communicate()[1]}")
-    yield found.group()
-    server.send_signal(signal.SIGINT)
-    said = server.communicate(timeout=DEADLINE_S)
-    assert server.returncode == 130, said
-    assert "Traceback" not in said[1]
+    log = tmp_path / "server.log"
+    with page_server("radiant_app", "inspect", run_folder, "--web", "--port", 0, log=log, patience_s=DEADLINE_S) as (found, interrupt):
+        yield found
+        assert interrupt() == 130, log.read_text()
+        assert "Traceback" not in log.read_text()
 
 
 def picture(page: Any, view: str) -> np.ndarray:

@@ -7,9 +7,6 @@ import json
 import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -27,25 +24,20 @@ from radiant_app.files.system_file import load_system
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
 from tests.viewer.test_start_window import FLIGHT
-from tests.viewer.window_kit import ROOT
+from tests.viewer.window_kit import ROOT, page_server
 
 DEADLINE_S = 300
 """For each step, on a busy machine."""
 
 
 @pytest.fixture
-def address() -> Iterator[str]:
+def address(tmp_path: Path) -> Iterator[str]:
     pytest.importorskip("trame_vuetify", reason="the extra 'web' is not installed")
-    command = [sys.executable, "-m", "tests.viewer.web_start_server"]
-    server = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert server.stdout is not None
-    found = re.search(r"http://127\.0\.0\.1:\d+/\?secret=\S{32}", first := server.stdout.readline())
-    if found is None:
-        server.kill()
-        pytest.fail(f"the page gave no address but {first!r}: {server.communicate()[1]}")
-    yield found.group()
-    server.send_signal(signal.SIGINT)
-    words = server.communicate(timeout=DEADLINE_S)[1]
+    log = tmp_path / "server.log"
+    with page_server("tests.viewer.web_start_server", log=log, patience_s=DEADLINE_S) as (found, interrupt):
+        yield found
+        interrupt()
+    words = log.read_text()
     assert not [line for line in words.splitlines() if line and "KeyboardInterrupt" not in line and "Error" in line], words
 
 

@@ -19,7 +19,7 @@ from tests.viewer.window_kit import run_python
 
 
 def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_path: Path, display: str) -> None:
-    """The one test of the real windows: three sessions under one X server, mostly imports."""
+    """The one test of the real windows: three sessions under one X server, in a process that starts anew."""
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
     save_run(tmp_path / "run", made_up_town(step_levels=60))
     save_run(tmp_path / "begun", made_up_town())
@@ -30,7 +30,7 @@ def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_pat
     (tmp_path / "begun/plan.json").rename(out / "plan.json")
     (tmp_path / "begun/metrics.json").unlink()
     tasks = [f"run={tmp_path / 'run'}", f"begun={tmp_path / 'begun'}", f"model={tmp_path / 'model.ply'}"]
-    result = run_python(["-m", "tests.viewer.window_driver"], str(out), *tasks, DISPLAY=display, QT_QPA_PLATFORM="xcb")
+    result = run_python(["-m", "tests.viewer.window_driver"], str(out), *tasks, anew=True, DISPLAY=display, QT_QPA_PLATFORM="xcb")
     assert result.returncode == 0, result.stderr[-4000:]
     written = ["cameras.csv", "dragged.ply", "inside.ply", "layers.gif", "ours.npz", "part.ply", "shot.png", "window.png"]
     assert sorted(path.name for path in out.iterdir()) == written
@@ -48,7 +48,7 @@ def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_pat
 def test_without_a_display_there_is_one_sentence_and_no_crash(tmp_path: Path) -> None:
     code = "import sys; from pathlib import Path; from radiant_viewer.window.inspector import open_window\n"
     code += "try: open_window(Path(sys.argv[1]))\nexcept ValueError as error: print(error); sys.exit(error.exit_code)"
-    result = run_python(code, str(tmp_path))
+    result = run_python(code, str(tmp_path), anew=True)
     assert result.returncode == 2, result.stderr
     assert len(result.stdout.strip().splitlines()) == 1
     assert "DISPLAY" in result.stdout
