@@ -74,28 +74,34 @@ def pooled_array(shape: Sequence[int]) -> NDArray[np.float32]: ...
 def compiler() -> str: ...
 def instruction_sets() -> list[str]: ...
 def multiply_adds(instruction_set: str, rounds: int) -> int: ...
-def target_statistics(target: Tensor, means: Tensor, variances: Tensor, num_threads: int = 1, instruction_set: str = "") -> None: ...
+def target_statistics(
+    target: NDArray[np.float32] | Tensor,
+    means: NDArray[np.float32] | Tensor,
+    variances: NDArray[np.float32] | Tensor,
+    num_threads: int = 1,
+    instruction_set: str = "",
+) -> None: ...
 def training_loss(
-    image: Tensor,
-    target: Tensor,
-    means: Tensor,
-    variances: Tensor,
-    weights: Tensor | None,
-    gradient: Tensor | None,
+    image: NDArray[np.float32] | Tensor,
+    target: NDArray[np.float32] | Tensor,
+    means: NDArray[np.float32] | Tensor,
+    variances: NDArray[np.float32] | Tensor,
+    weights: NDArray[np.float32] | Tensor | None,
+    gradient: NDArray[np.float32] | Tensor | None,
     ssim_weight: float,
     num_threads: int = 1,
     instruction_set: str = "",
 ) -> float: ...
 def visible_runs(visible: Tensor, steps: Tensor) -> NDArray[np.int32]: ...
 def adam_step(
-    parameters: Tensor,
-    gradients: Tensor,
-    first_moments: Tensor,
-    second_moments: Tensor,
+    parameters: NDArray[np.float32] | Tensor,
+    gradients: NDArray[np.float32] | Tensor,
+    first_moments: NDArray[np.float32] | Tensor,
+    second_moments: NDArray[np.float32] | Tensor,
     runs: NDArray[np.int32] | None,
-    steps: Tensor | None,
-    first_factors: Tensor,
-    second_factors: Tensor,
+    steps: NDArray[np.int32] | Tensor | None,
+    first_factors: NDArray[np.float32] | Tensor,
+    second_factors: NDArray[np.float32] | Tensor,
     step: int,
     rate: float,
     beta1: float,
@@ -104,7 +110,7 @@ def adam_step(
     num_threads: int = 1,
     instruction_set: str = "",
 ) -> None: ...
-def find_not_finite(values: Tensor, runs: NDArray[np.int32] | None, num_threads: int = 1) -> list[int]: ...
+def find_not_finite(values: NDArray[np.float32] | Tensor, runs: NDArray[np.int32] | None, num_threads: int = 1) -> list[int]: ...
 def gather_rows(source: NDArray[np.float32], rows: NDArray[np.int64], target: NDArray[np.float32], first: int) -> None: ...
 def add_rows(target: NDArray[np.float32], at: NDArray[np.int64], values: NDArray[np.float32]) -> None: ...
 def spread_rows(values: NDArray[np.float32], first: int, rows: NDArray[np.int64], scale: float, target: NDArray[np.float32]) -> None: ...

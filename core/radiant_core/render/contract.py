@@ -11,6 +11,7 @@ EWA splatting: Zwicker 2002; 3DGS: Kerbl 2023; equations are numbered as in the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -90,11 +91,12 @@ class RenderOutput:
     """(C,N) Σ over pixels of w = T α, how many pixels a Gaussian makes, where requested and
     something has a gradient; there when the gradient of `means2d` comes to its hooks."""
 
-    @property
+    @cached_property
     def visible(self) -> Tensor:
         """(N,) bool, Gaussians that a camera sees; by numpy: torch's threads spin on (libgomp)."""
         if self.radii_px.device.type == "cpu":
-            return torch.from_numpy((self.radii_px.numpy() > 0).any(0))
+            radii_px = self.radii_px.numpy()
+            return torch.from_numpy(radii_px[0] > 0 if len(radii_px) == 1 else (radii_px > 0).any(0))
         return (self.radii_px > 0).any(0)
 
 

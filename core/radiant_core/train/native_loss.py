@@ -56,7 +56,7 @@ class TargetStatistics:
             return TargetStatistics(target=target, means=means, variances=variances)
         means, variances = torch.empty_like(target), torch.empty_like(target)
         with _as_bad_input():
-            _native.target_statistics(target, means, variances, torch.get_num_threads())
+            _native.target_statistics(target.numpy(), means.numpy(), variances.numpy(), torch.get_num_threads())
         return TargetStatistics(target=target, means=means, variances=variances)
 
     @property
@@ -109,10 +109,16 @@ class _NativeLoss(torch.autograd.Function):
     def forward(ctx: Any, image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float, wanted: bool) -> Tensor:
         image = image.detach().contiguous()
         gradient = torch.empty_like(image) if wanted else None
-        weights = None if weights is None else weights.detach().contiguous()
         with _as_bad_input():
             loss = _native.training_loss(
-                image, statistics.target, statistics.means, statistics.variances, weights, gradient, ssim_weight, torch.get_num_threads()
+                image.numpy(),
+                statistics.target.numpy(),
+                statistics.means.numpy(),
+                statistics.variances.numpy(),
+                None if weights is None else weights.detach().contiguous().numpy(),
+                None if gradient is None else gradient.numpy(),
+                ssim_weight,
+                torch.get_num_threads(),
             )
         if gradient is not None:
             ctx.save_for_backward(gradient)

@@ -177,14 +177,14 @@ class SelectiveAdam:
         # Autograd does not see what the kernel writes: by the new version it refuses an old graph.
         torch.autograd.graph.increment_version(group.tensor)
         _native.adam_step(
-            group.tensor.detach(),
-            gradient,
-            group.first_moments,
-            group.second_moments,
+            group.tensor.detach().numpy(),
+            gradient.numpy(),
+            group.first_moments.numpy(),
+            group.second_moments.numpy(),
             runs,
-            None if runs is None else self._row_steps,
-            self._first_factors,
-            self._second_factors,
+            None if runs is None else self._row_steps.numpy(),
+            self._first_factors.numpy(),
+            self._second_factors.numpy(),
             self._step,
             group.rate,
             self._beta1,

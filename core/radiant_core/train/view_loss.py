@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -35,11 +36,14 @@ class ViewLoss:
         self._loss = loss
         self._backend: Backend = backend
         self._device = device_of(resolve_backend(backend))
-        self.use_size(config.start_scale)
+        self._scale = 0.0
+        self.use_size(config.scale_at(0.0))
 
     def use_size(self, scale: float) -> None:
         """Compare views at that share of their size from now on."""
-        self.scale = scale
+        if scale == self._scale:
+            return
+        self._scale = scale
         self._views = self._full if scale == 1 else self._full.scaled(scale)
         cameras = self._views.cameras
         self._viewmats, self._Ks = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks)
@@ -116,7 +120,12 @@ def sh_degree_at(moment: Moment, splats: SplatTensors, config: TrainConfig) -> i
 def view_of_step(step: int, num_views: int, seed: int) -> int:
     """View of step `step` (from 0): every view once per epoch, each epoch in a new order."""
     epoch, place = divmod(step, num_views)
-    return int(np.random.default_rng((seed, epoch)).permutation(num_views)[place])
+    return _order_of_epoch(epoch, num_views, seed)[place]
+
+
+@lru_cache(maxsize=4)
+def _order_of_epoch(epoch: int, num_views: int, seed: int) -> list[int]:
+    return np.random.default_rng((seed, epoch)).permutation(num_views).tolist()
 
 
 def _background(step: int, config: TrainConfig) -> Tensor | None:

@@ -399,7 +399,9 @@ def _to_numpy(array: Any) -> NDArray[Any]:
 
 def _zero_not_finite(lengths: Any) -> None:
     if isinstance(lengths, np.ndarray):
-        lengths[~(lengths < math.inf)] = 0
+        finite = lengths < math.inf
+        if not finite.all():
+            lengths[~finite] = 0
     else:  # by a mask, torch would wait for the GPU
         lengths.nan_to_num_(nan=0.0, posinf=0.0)
 
