@@ -107,6 +107,7 @@ def _triangulate(model: pycolmap.Reconstruction, database: Path, photo_folder: P
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = SfmConfig().threads
     options.random_seed = 0
+    options.extract_colors = limits == (LIMITS_PX[-1], LIMITS_DEG[-1])
     options.mapper.filter_max_reproj_error = limit_px
     triangulation = options.triangulation
     triangulation.merge_max_reproj_error = triangulation.complete_max_reproj_error = limit_px

@@ -116,6 +116,8 @@ def incremental_model(job: MappingJob, name: str, begun: pycolmap.Reconstruction
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = job.config.threads
     options.random_seed = job.config.seed
+    # Triangulating gives all points their colours; here each photograph would be decoded for it.
+    options.extract_colors = False
     if job.config.effort != "thorough":
         _adjust_seldom(options)
     if job.has_rig:
