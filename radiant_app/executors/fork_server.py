@@ -36,6 +36,7 @@ from typing import IO, Any
 
 from radiant_app.executors.sessions import FIRST_PID
 from radiant_app.interrupts import defer_interrupts
+from radiant_app.loading import loading
 
 READ_WHEN_LOADED = ("GOMP_SPINCOUNT", "LD_PRELOAD", "OPENBLAS_NUM_THREADS", "PYTHONPATH")
 """Variables that a library or the interpreter reads once."""
@@ -375,13 +376,11 @@ def main(requests: str, *names: str) -> None:
     """Import and serve."""
     # The folder that the server was started in; a fork has that of its request.
     del sys.path[0]
-    # To search what loads for garbage takes a sixth of the time of loading it.
-    gc.disable()
-    for name in names:
-        import_module(name)
-    # A fork copies every page that it writes to, and collecting garbage writes to all of them.
-    gc.freeze()
-    gc.enable()
+    with loading():
+        for name in names:
+            import_module(name)
+        # A fork copies every page that it writes to, and collecting garbage writes to all of them.
+        gc.freeze()
     serve(socket.socket(fileno=int(requests)))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from radiant_app.events import UPLINK, Listener, StageDone, StageProgress, StageStarted
 from radiant_app.files.run_folder import PLANNING_FOLDER, Manifest, software_versions
 from radiant_app.files.system_file import load_system
+from radiant_app.loading import loading
 from radiant_app.pace import clock_text
 from radiant_app.report.advice import what_to_try
 from radiant_app.report.gaps import gaps_of, notes_of
@@ -155,11 +156,12 @@ def _tell(listen: Listener, part: int, num_done: int, total: int) -> None:
 
 
 def _save_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borders: bool) -> dict[str, Path]:
-    from radiant_viewer.charts.charts import timeline_picture
-    from radiant_viewer.charts.gantt_chart import gantt_picture
-    from radiant_viewer.pictures.images import save_png
-    from radiant_viewer.pictures.page import PHONE_SIZE_WH
-    from radiant_viewer.runs.run_pictures import screenshot
+    with loading():
+        from radiant_viewer.charts.charts import timeline_picture
+        from radiant_viewer.charts.gantt_chart import gantt_picture
+        from radiant_viewer.pictures.images import save_png
+        from radiant_viewer.pictures.page import PHONE_SIZE_WH
+        from radiant_viewer.runs.run_pictures import screenshot
 
     folder = run / "pictures"
     images: dict[str, Image] = {}

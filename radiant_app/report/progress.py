@@ -9,7 +9,6 @@ Lines of a log file are not wrapped.
 
 from __future__ import annotations
 
-import gc
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -22,6 +21,7 @@ from rich.table import Column
 from rich.text import Text
 
 from radiant_app.events import Decided, Event, Outlined, RunLeft, StageDone, StageProgress, StageSkipped, StageStarted, TimeLeft, Warned
+from radiant_app.loading import loading
 from radiant_app.pace import Pace, RunPace, clock_text, run_text
 from radiant_app.plain_text import shown_text
 
@@ -41,16 +41,10 @@ def track_items(items: Sequence[_Item], description: str) -> Iterator[_Item]:
 
 @contextmanager
 def show_starting() -> Iterator[None]:
-    """A spinner on a terminal while libraries load, which takes seconds; nothing in a log. What
-    loads is not searched for garbage, a sixth of that time."""
-    console, was_enabled = Console(stderr=True), gc.isenabled()
-    gc.disable()
-    try:
-        with console.status("starting") if console.is_terminal else nullcontext():
-            yield
-    finally:
-        if was_enabled:
-            gc.enable()
+    """A spinner on a terminal while libraries load, which takes seconds; nothing in a log."""
+    console = Console(stderr=True)
+    with console.status("starting") if console.is_terminal else nullcontext(), loading():
+        yield
 
 
 class _Times(ProgressColumn):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
@@ -110,8 +109,7 @@ class TrainConfig:
     """Seconds of training after which the run ends, if the steps have not ended it; every schedule
     follows whichever is spent faster."""
     start_scale: float = 1.0
-    """Share of the image size that training begins with; it doubles at even shares of the run until
-    it is full."""
+    """Share of the image size that training begins with."""
     full_size_from: float = 0.4
     """Share of the run from which images have their full size."""
     light: LightMode = "none"
@@ -172,19 +170,6 @@ class TrainConfig:
         require_one_of(self, "background", ("black", "random"))
         require_one_of(self, "skip_images", ("none", "auto"))
         require_one_of(self, "dense_points", ("none", "always"))
-
-    @property
-    def scales(self) -> tuple[float, ...]:
-        """The shares of the image size below 1 that the run goes through, the smallest first."""
-        doublings = max(0, math.ceil(-math.log2(self.start_scale)))
-        return tuple(self.start_scale * 2**number for number in range(doublings))
-
-    def scale_at(self, progress: float) -> float:
-        """The share of the image size that is trained on at a share of the run."""
-        scales = self.scales
-        if not scales or progress >= self.full_size_from:
-            return 1.0
-        return scales[min(len(scales) - 1, int(len(scales) * progress / self.full_size_from))]
 
 
 # Short runs have no time for small steps: rates, Adam and growth were found on validation

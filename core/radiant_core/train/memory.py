@@ -68,7 +68,7 @@ def _fixed_bytes(config: TrainConfig, all_pixels: float, most_pixels: float, bas
 
 
 def _copies(config: TrainConfig) -> float:
-    return 1.0 + max(config.scales, default=0.0) ** 2
+    return 1.0 + (config.start_scale**2 if config.start_scale < 1 else 0.0)
 
 
 def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[int], float], num_cameras: int) -> int:

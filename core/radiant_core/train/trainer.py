@@ -297,7 +297,8 @@ class Training(ModelFit):
     def take_step(self) -> None:
         """Take the next step; one that ends in something not finite is undone and counted."""
         moment = self._moment()
-        self._view_loss.use_size(self._config.scale_at(moment.progress))
+        if self._view_loss.scale < 1 and moment.progress >= self._config.full_size_from:
+            self._view_loss.use_size(1.0)
         if self.step % STEPS_BETWEEN_LIMITS == 0:
             self._limit_shapes()
         self._set_rates(moment.progress, settled_rate_share(self.step, moment.progress, len(self._views), self._config.settle_epochs))
@@ -316,7 +317,7 @@ class Training(ModelFit):
     def restore(self, state: TrainState) -> None:
         """Go on from `state`; BadInput where it is of other inputs or configuration."""
         super().restore(state)
-        self._view_loss.use_size(self._config.scale_at(self.progress))
+        self._view_loss.use_size(self._config.start_scale if self.progress < self._config.full_size_from else 1.0)
 
     def _moment(self) -> Moment:
         return Moment(

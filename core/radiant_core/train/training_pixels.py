@@ -16,9 +16,9 @@ def training_pixels(cameras: Cameras, config: TrainConfig, num_steps: int) -> in
         raise BadInput("a training that ends by time does not tell its pixels beforehand: give it a number of steps.")
     full = cameras.sizes_wh.prod(axis=1)
     longest = int(cameras.sizes_wh.max(initial=1))
-    reduced = {scale: cameras.scaled(max(1, round(scale * longest))).sizes_wh.prod(axis=1) for scale in config.scales}
+    small = cameras.scaled(max(1, round(config.start_scale * longest))).sizes_wh.prod(axis=1)
     pixels = 0
     for step in range(num_steps):
-        at_scale = reduced.get(config.scale_at(step / config.num_steps), full)
-        pixels += int(at_scale[view_of_step(step, len(cameras), config.seed)])
+        at_full_size = config.start_scale >= 1 or step / config.num_steps >= config.full_size_from
+        pixels += int((full if at_full_size else small)[view_of_step(step, len(cameras), config.seed)])
     return pixels

@@ -36,14 +36,11 @@ class ViewLoss:
         self._loss = loss
         self._backend: Backend = backend
         self._device = device_of(resolve_backend(backend))
-        self._scale = 0.0
-        self.use_size(config.scale_at(0.0))
+        self.use_size(config.start_scale)
 
     def use_size(self, scale: float) -> None:
         """Compare views at that share of their size from now on."""
-        if scale == self._scale:
-            return
-        self._scale = scale
+        self.scale = scale
         self._views = self._full if scale == 1 else self._full.scaled(scale)
         cameras = self._views.cameras
         self._viewmats, self._Ks = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks)

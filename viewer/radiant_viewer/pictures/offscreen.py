@@ -11,6 +11,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+import cv2
 import numpy as np
 import pyvista as pv
 
@@ -154,9 +155,8 @@ def averaged_screenshot(plotter: pv.Plotter) -> Image:
     """The picture of an `offscreen_plotter`, averaged to its size."""
     pixels = plotter.screenshot(return_img=True)
     assert pixels is not None
-    height, width = pixels.shape[0] // OVERSAMPLING, pixels.shape[1] // OVERSAMPLING
-    blocks = pixels.reshape(height, OVERSAMPLING, width, OVERSAMPLING, 3).astype(np.uint16)
-    return ((blocks.sum(axis=(1, 3)) + OVERSAMPLING**2 // 2) // OVERSAMPLING**2).astype(np.uint8)
+    size_wh = (pixels.shape[1] // OVERSAMPLING, pixels.shape[0] // OVERSAMPLING)
+    return np.asarray(cv2.resize(np.ascontiguousarray(pixels), size_wh, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _fit_extent(low: FloatArray, high: FloatArray, size_wh: tuple[int, int]) -> tuple[float, float, float, float]:

@@ -178,7 +178,8 @@ class Replica(ModelFit):
             return StepGradients.nothing(self.layout)
         step = self.step if step is None else step
         moment = self._moment(step)
-        view_loss.use_size(self._config.scale_at(moment.progress))
+        if view_loss.scale < 1 and moment.progress >= self._config.full_size_from:
+            view_loss.use_size(1.0)
         self._optimizer.zero_grad()
         statistics = DensityStatistics(count, self._splats.means.device)
         row_mask, loss, num_counted = np.zeros(count, bool), 0.0, 0
@@ -314,7 +315,7 @@ class Replica(ModelFit):
         if self._group.masked:
             self._magnitudes = _magnitudes_of(state, len(self._magnitudes))
         if self._view_loss is not None:
-            self._view_loss.use_size(self._config.scale_at(self.progress))
+            self._view_loss.use_size(self._config.start_scale if self.progress < self._config.full_size_from else 1.0)
 
     def _limit_shapes(self, camera_centers: FloatArray) -> ShapeCounts:
         return limit_shapes(self._splats, camera_centers, self._config)
