@@ -135,6 +135,15 @@ def test_a_misplaced_image_with_many_points_is_found_and_placed_anew(
     assert compare_centers(np.array(centers), known.named(names).centers).max_percent < 2.0
 
 
+def test_mapping_decodes_no_photograph(hamlet: Path, placed: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    model = mapping.incremental_model(replace(job_of(hamlet, placed, tmp_path), photo_folder=tmp_path / "empty"), "incremental")
+    assert model is not None and model.num_reg_images() == pycolmap.Reconstruction(placed / "sparse").num_reg_images()
+    # Triangulating reads them, once the poses are final.
+    assert not any(point.color.any() for point in model.points3D.values())
+    assert any(point.color.any() for point in pycolmap.Reconstruction(placed / "sparse").points3D.values())
+
+
 def test_where_many_are_contradicted_none_is_taken_out_and_all_are_named(
     hamlet: Path, placed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
