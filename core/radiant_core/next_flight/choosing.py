@@ -1,7 +1,7 @@
 """Which views add most to what is known: greedily, by expected gain. Once per proposal.
 
     covered(f, b)  = max over views v of f  exp(−(∠(b, d_v) / 20°)²) · √min(1, g / g_v)
-    gain of a view = Σ over facets f that it sees of  area · mean over b of the rise of covered(f, b)
+    gain of a view = Σ over facets f that it sees  area · mean over b of the rise of covered(f, b)
 
 b: directions spread evenly over those from which a facet can be looked at; d_v: direction to the
 camera, g_v: GSD, g: what is usual. A facet is worth nothing until a view shows it, a second view

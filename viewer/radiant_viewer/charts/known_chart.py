@@ -44,7 +44,10 @@ def known_picture(known_map: KnownMap, unit: str, flights: Sequence[FlownLine] =
     panels = [axes_at(figure, (LEFT_PX + index * PANEL_PX, FOOT_PX, PANEL_PX - LEFT_PX - BAR_PX, height_px)) for index in range(3)]
     corner = grid.north_west
     extent = (corner[0], corner[0] + grid.columns * grid.cell, corner[1] - grid.rows * grid.cell, corner[1])
-    bars = (("Photographs", bands[..., 0], "viridis", (0, MOST_VIEWS)), ("PSNR predicted for such views (dB)", bands[..., 4], "magma", None))
+    bars = (
+        ("Photographs", bands[..., 0], "viridis", (0, MOST_VIEWS)),
+        ("PSNR predicted for such views (dB)", bands[..., 4], "magma", None),
+    )
     for axes, (label, values, colors, limits) in zip(panels, bars, strict=False):
         low, high = limits or (tuple(np.nanquantile(values, [0.02, 0.98])) if np.isfinite(values).any() else (0.0, 1.0))
         picture = axes.imshow(values, extent=extent, cmap=colors, vmin=low, vmax=high, interpolation="none", aspect="equal")
