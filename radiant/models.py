@@ -157,7 +157,7 @@ def join(
         BadInput: no model, or cameras of one name in two of them.
     """
     config, _ = fit_to_backend(train_preset("default"), resolve_backend("auto"), Overrides(long_side_px=long_side_px))
-    rules = Join() if num_epochs is None else Join(num_epochs=num_epochs)
+    rules = Join(epochs=num_epochs)
 
     def report(progress: TrainProgress) -> None:
         listen(StageProgress(stage="join", done=progress.step, total=progress.num_steps))

@@ -74,7 +74,7 @@ from radiant_core.hierarchy.codec import (
     sent_files,
     task_key,
 )
-from radiant_core.hierarchy.messages import DeviceSettings
+from radiant_core.hierarchy.messages import DeviceSettings, Training
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
@@ -227,11 +227,9 @@ class EdgeRun:
             system=load_system(request_folder / SYSTEM_NAME),
             cloud_plan=cloud,
             edge_plans=edges,
-            train=task.train,
+            **{item.name: getattr(task, item.name) for item in fields(Training)},
             aggregate=task.aggregate,
-            backend=task.backend,
             upload=task.upload,
-            checkpoint_every_s=task.checkpoint_every_s,
             num_devices=task.num_devices,
             step_policy=task.step_policy,
             num_photographs=task.num_photographs,

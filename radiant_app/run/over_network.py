@@ -183,9 +183,7 @@ class OwnersMachines:
         names = tuple(device.name for device in edge.children)
         assert self.config.frames != "shared"
         task = RegionTask(
-            train=recipe.train,
-            backend=recipe.backend,
-            checkpoint_every_s=recipe.checkpoint_every_s,
+            **recipe.common,
             frames=self.config.frames,
             devices=names,
             first_held_out=tuple(map(devices.first_held_out, names)),

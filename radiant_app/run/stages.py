@@ -281,7 +281,8 @@ def resolve_training(config: RunConfig, progress: Progress) -> tuple[TrainConfig
     train, decisions = fit_to_backend(preset, backend, config.train.overrides)
     aggregate = config.joining
     if backend == "reference" and train.reduce_on_cpu:
-        aggregate = replace(aggregate, max_num_steps=REFERENCE_RETRAIN_STEPS)
+        limited = {name: replace(getattr(aggregate, name), max_num_steps=REFERENCE_RETRAIN_STEPS) for name in ("edge", "cloud", "refine")}
+        aggregate = replace(aggregate, **limited)
         decisions = (*decisions, _retrain_decision())
     for decision in decisions:
         progress.listen(Decided(decision=decision))

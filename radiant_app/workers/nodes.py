@@ -146,7 +146,7 @@ def run_edge(folder: Path, task: EdgeTask, reporter: EventReporter) -> Sequence[
 
     models = receive_device_models(folder, task.devices)
     (folder / CUT_NAME).unlink(missing_ok=True)
-    model = join_edge(task, models, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
+    model = join_edge(task, models, reporter, make_machine(folder, task, reporter))
     names = [
         *save_edge_model(folder, model, task.upload, reporter.warn),
         *save_joining(folder, model.corrections, model.refused, model.uncertainty),
@@ -171,7 +171,7 @@ def run_cloud(folder: Path, task: CloudTask, reporter: EventReporter) -> Sequenc
     models = receive_edge_models(folder, task.edges)
     for name in (CUT_NAME, CUT_SCENE):
         (folder / name).unlink(missing_ok=True)
-    scene = join_cloud(task, models, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
+    scene = join_cloud(task, models, reporter, make_machine(folder, task, reporter))
     names = ["summary.json", *save_joining(folder, scene.corrections, scene.refused, scene.uncertainty)]
     write_json(folder / "summary.json", dict(scene.summary) if scene.splats is not None else {**NOTHING, "num_models": 0})
     if scene.splats is None:

@@ -50,7 +50,7 @@ def test_every_worker_keeps_to_its_limit(cloud_gb: float, fits: bool, tmp_path: 
         out=tmp_path / "run",
         system=tmp_path / "system.toml",
         train=training,
-        aggregate=AggregateOptions(settings={"edge_epochs": 2, "cloud_epochs": 2}),
+        aggregate=AggregateOptions(settings={"edge.epochs": 2, "cloud.epochs": 2}),
         execution=execution,
     )
     result = run(config)

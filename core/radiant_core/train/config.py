@@ -26,6 +26,8 @@ from radiant_core.train.densify.policies import (
 
 NEVER = 10**9
 """Steps that no schedule reaches."""
+CHECKPOINT_EVERY_S = 10.0
+"""Seconds between two checkpoints of a training, unless a user says otherwise."""
 Preset = Literal["draft", "default", "standard", "paper"]
 """draft: a quick look; default: our best; standard: plain 3DGS with its 30,000 steps; paper: plain
 3DGS with the paper's 20,000 steps, densified from step 500 to 15,000 every 100 (its Sec. IV-B), not
