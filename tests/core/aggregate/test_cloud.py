@@ -149,14 +149,49 @@ class TestPaperAggregation:
         for join in (paper.edge, paper.cloud):
             assert (join.method, join.epochs, join.max_num_steps) == ("paper", 10, None)
             assert join.retrain_single and not join.weight_by_alpha
-ate_preset("paper").joining_after(trainings) == aggregate_preset("paper")
+        assert aggregate_preset("default") == AggregateConfig()
+        with pytest.raises(BadInput, match="default, paper"):
+            aggregate_preset("papers")
+
+    def test_epochs_and_rounds_follow_from_how_long_how_many_devices_trained(self) -> None:
+        ours, alone = AggregateConfig(), AggregateConfig(refine=Refine(epochs=0))
+        asked = AggregateConfig(edge=Join(epochs=7), cloud=Join(epochs=0), refine=Refine(rounds=9))
+        long, many, few = (10, 5), (2, 2), (1, 0)
+        for shows, steps, num_devices, epochs, rounds in (
+            (HARDLY_SHOWN - 0.1, 500, FEW_DEVICES, few, 5),
+            (HARDLY_SHOWN - 0.1, 500, FEW_DEVICES + 1, many, 5),
+            (HARDLY_SHOWN - 0.1, 1500, FEW_DEVICES, few, 5),
+            (HARDLY_SHOWN, 500, FEW_DEVICES, few, 2),
+            (HARDLY_SHOWN, 500, FEW_DEVICES + 1, many, 3),
+            (SHORT_SHOWS - 0.1, SHORT_STEPS, FEW_DEVICES, few, 2),
+            (SHORT_SHOWS, SHORT_STEPS - 1, FEW_DEVICES, few, 2),
+            (ENOUGH_SHOWS, SHORT_STEPS - 1, FEW_DEVICES, few, 2),
+            (OFTEN_SHOWN, SHORT_STEPS - 1, FEW_DEVICES, few, 2),
+            (OFTEN_SHOWN, SHORT_STEPS, FEW_DEVICES, long, 1),
+            (OFTEN_SHOWN, SHORT_STEPS - 1, FEW_DEVICES + 1, many, 1),
+            (ENOUGH_SHOWS, SHORT_STEPS - 1, FEW_DEVICES + 1, many, 1),
+            (SHORT_SHOWS, SHORT_STEPS, FEW_DEVICES, long, 3),
+            (ENOUGH_SHOWS, SHORT_STEPS, FEW_DEVICES, long, 1),
+            (float("inf"), float("inf"), FEW_DEVICES, long, 1),
+        ):
+            trainings = Trainings(num_devices=num_devices, photograph_shows=shows, num_steps=steps)
+            joining = ours.joining_after(trainings)
+            assert (joining.edge.epochs, joining.cloud.epochs) == ours.epochs_after(trainings) == epochs, trainings
+            assert ours.refine.rounds_after(trainings) == rounds and asked.refine.rounds_after(trainings) == 9, trainings
+            # Few steps over few photographs leave less to fit.
+            of_few = epochs == few and shows >= OFTEN_SHOWN
+            assert ours.refine.epochs_after(trainings) == (5 if of_few else 8), trainings
+            assert Refine(epochs=3).epochs_after(trainings) == 3
+            assert alone.refine.epochs_after(trainings) == 0 and ours.refine.is_asked_for and not alone.refine.is_asked_for
+            assert asked.joining_after(trainings) == asked and alone.epochs_after(trainings) == long
+            assert aggregate_preset("paper").joining_after(trainings) == aggregate_preset("paper")
         assert ours.epochs_after(None) == long
 
     @pytest.mark.parametrize(
         "given", [{"refine": Refine(epochs=0), "cloud": Join(epochs=0)}, {"edge": Join(epochs=0)}, {"edge": Join(method="crop_merge")}]
     )
     def test_no_epochs_without_devices_that_refine_are_refused(self, given: dict) -> None:
-        with pytest.raises(BadInput, match=r"give 1 or more, or epochs of refining|edge.epochs .* at least 1|the cloud\'s alone"):
+        with pytest.raises(BadInput, match=r"give 1 or more, or epochs of refining|edge\.epochs .* at least 1|the cloud's alone"):
             AggregateConfig(**given)
         with pytest.raises(BadInput, match="shows its views 0 times"):
             Join(method="paper", epochs=0)
