@@ -23,9 +23,9 @@ from radiant.models import Scores, evaluate, export, join, load_splats, save_spl
 from radiant.plans import RegionPlan, plan_regions
 from radiant.scenes import Scene, load_scene, reconstruct
 from radiant.showing import picture, progress
+from radiant_app.commands.run.pipeline import RunResult, run
 from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
 from radiant_app.files.system_file import even_system, load_system
-from radiant_app.run.pipeline import RunResult, run
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput, RadiantError, StageFailed

@@ -12,10 +12,10 @@ from rich.console import Console
 
 from radiant_app.commands.model.aggregate import aggregate
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import AggregateOptions, RunConfig, TrainOptions
 from radiant_app.events import Event, StageDone
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.pipeline import run
 from radiant_app.workers import nodes, training
 from radiant_core.aggregate import join_memory
 from radiant_core.io.ply import load_ply

@@ -19,14 +19,14 @@ from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.network import executor as network
 from radiant_app.network.contents import check_result, check_scores, open_report, settle_notes
+from radiant_app.network.device import HIDDEN_PLACE, hide_in_event, hide_places
 from radiant_app.network.errands import Errands
 from radiant_app.network.executor import MAX_SAYINGS, admit_event
-from radiant_app.nodes.device import HIDDEN_PLACE, hide_in_event, hide_places
+from radiant_app.network.far_devices import FarDevices
 from radiant_app.report import html
 from radiant_app.reporting import read_notes
 from radiant_app.run.captured import MOST_TIMES, middles_of_raster, place_rasters, weigh_claims
 from radiant_app.run.choosing import keep_best
-from radiant_app.run.far_devices import FarDevices
 from radiant_app.run.scoring import combine_scores
 from radiant_app.workers.rasters import MAX_PHOTOGRAPHS, MOST_UNITS, raster_of, raster_problem
 from radiant_app.workers.scores import Claimable, admit_scores, claim_problem, scores_of

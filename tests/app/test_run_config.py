@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 import radiant_app.cli.run
 from radiant_app.cli.app import app
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.fields import config_of, tables_of, train_options, values_of, with_settings
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, SfmOptions, TrainOptions
-from radiant_app.run.pipeline import run
 from radiant_core.aggregate.config import Refine
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig

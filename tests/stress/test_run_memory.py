@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, RunConfig, TrainOptions
-from radiant_app.run.pipeline import run
 
 pytestmark = pytest.mark.stress
 
