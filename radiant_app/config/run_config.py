@@ -364,6 +364,11 @@ class RunConfig:
 
     Raises:
         BadInput: settings that contradict each other, or a value out of range.
+
+    Example:
+        >>> training = radiant.TrainOptions(preset="draft", num_steps=300)
+        >>> plan = radiant.PlanOptions(devices=4)
+        >>> config = radiant.RunConfig(source=Path("PHOTOS"), out=Path("RUN"), train=training, plan=plan)
     """
 
     source: Path

@@ -99,6 +99,8 @@ def run(
 ) -> RunResult:
     """Run everything in `config.out`; finished stages are skipped with `resume`.
 
+    Use it to divide a scene among machines, or among processes of this one, with a report.
+
     Args:
         config: what is asked for.
         listen: receives every event of the run as it happens.
@@ -111,6 +113,11 @@ def run(
     Raises:
         BadInput: unusable input, in one sentence; nothing stays behind.
         StageFailed: a stage ended without its result; finished ones stay and can be resumed.
+
+    Example:
+        >>> config = radiant.RunConfig(source=Path("PHOTOGRAPHS"), out=Path("RUN"))
+        >>> result = radiant.run(config)  # doctest: +SKIP
+        >>> radiant.save_splats(result.load_splats(), "scene.spz")  # doctest: +SKIP
     """
     from radiant_app.report.html import write_report
 
