@@ -50,6 +50,7 @@ from benchmarks.off_path import off_path_metrics
 from benchmarks.options import HoldOut
 from benchmarks.rivals.fed3dgs import Fed3dgsConfig, fed3dgs
 from benchmarks.rivals.vast_gaussian import vast_gaussian
+from benchmarks.training_pixels import training_pixels
 from radiant_app.report.progress import track_items
 from radiant_core.aggregate.config import CLOUD_EPOCHS, aggregate_preset, with_joins
 from radiant_core.aggregate.join import join_models
@@ -68,7 +69,6 @@ from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.results import TrainProgress
 from radiant_core.train.trainer import FitOptions, fit_splats
-from radiant_core.train.training_pixels import training_pixels
 
 NOTHING_SET: Mapping[str, Any] = {}
 NUM_EPOCHS_OF_PHOTOGRAPHS = 10

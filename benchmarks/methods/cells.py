@@ -20,6 +20,7 @@ from shapely import MultiPoint, Point
 from benchmarks.hold_out import mask_of, name_of
 from benchmarks.options import OF_RUN, HeldPart
 from benchmarks.splits import AnyMethod, plan_by
+from benchmarks.training_pixels import training_pixels
 from radiant_app.files.run_folder import read_manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.report.prediction_error import SYSTEM_NAME
@@ -48,7 +49,6 @@ from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_images, load_training_views
-from radiant_core.train.training_pixels import training_pixels
 from radiant_core.train.views import TrainingViews
 
 DEVICE_SPEEDS = (1.0, 0.6)
