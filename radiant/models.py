@@ -69,7 +69,7 @@ def load_splats(path: str | Path) -> Splats:
         >>> splats = radiant.load_splats("model.ply")
         >>> splats.means.shape[1], splats.quats.shape[1]
         (3, 4)
-        >>> splats.opacities.max() <= 1
+        >>> len(splats.opacities) == len(splats)
         True
     """
     model = read_model(Path(path))

@@ -159,7 +159,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
         if seconds:
             working = sum(1 for count in counts.values() if count)
             if working > 1:
-                epochs = _epochs(run / "edges" / plan.edge_id, "edge")
+                epochs = _epochs(run / "edges" / plan.edge_id)
                 seconds /= share_of_epochs(EDGE_EPOCHS if epochs is None else epochs, EDGE_EPOCHS)
             edges.append(EdgeSample(num_cameras=sum(counts.values()), num_devices=working, seconds=seconds))
     if not devices:
@@ -172,7 +172,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     distinct = sorted({sample.num_cameras for sample in devices})
     held_out = distinct[len(distinct) // 2] if len(distinct) > 2 else None
     # Where the cloud fitted nothing, its time does not say what fitting takes.
-    seconds = None if _epochs(run / "cloud", "cloud") == 0 else _seconds(stages, "cloud")
+    seconds = None if _epochs(run / "cloud") == 0 else _seconds(stages, "cloud")
     num_cameras = sum(sample.num_cameras for sample in edges)
     merges = (EdgeSample(num_cameras=num_cameras, num_devices=len(edges), seconds=seconds),) if seconds and num_cameras else ()
     measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out, merges=merges)
@@ -180,12 +180,9 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     return _write_profile(out, measured, key, machine or machine_label(None), source)
 
 
-def _epochs(node: Path, tier: str) -> int | None:
-    """Epochs that a node's task asks for; None for as many as there are by default."""
-    if (join := task_setting(node, "join")) is not None:
-        return join["epochs"]
-    # Runs made before each tier had a join of its own.
-    return (task_setting(node, "aggregate") or {}).get(f"{tier}_epochs")
+def _epochs(node: Path) -> int | None:
+    """Epochs that a node's task asks for; None where it was asked nothing."""
+    return (task_setting(node, "join") or {}).get("epochs")
 
 
 def library_table() -> str:
