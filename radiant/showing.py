@@ -44,7 +44,7 @@ def picture(
         folder: of `radiant run`, `train` or `sfm`.
         view: regions (the plan), cameras, seams, splats (the model in 3D) or compare (photographs
             beside renders); None: the usual one.
-        size_wh: width and height in px.
+        size_wh: width and height in px, at least 640 × 420; by default 1,280 × 900.
         photograph: whose viewpoint "splats" takes, or the only row of "compare".
 
     Returns:
@@ -54,8 +54,8 @@ def picture(
         BadInput: an unknown view or photograph, or the folder holds nothing to draw.
 
     Example:
-        >>> pixels = radiant.picture("SCENE", "cameras", size_wh=(320, 240))
+        >>> pixels = radiant.picture("SCENE", "cameras", size_wh=(640, 480))
         >>> pixels.shape
-        (240, 320, 3)
+        (480, 640, 3)
     """
     return screenshot(Path(folder), view, size_wh, photograph)
