@@ -6,9 +6,10 @@ import ast
 import doctest
 import inspect
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,16 +77,18 @@ def test_what_users_call_says_when_and_how_in_a_few_lines() -> None:
         assert 1 <= len(lines) <= 4, f"the example of {name} has {len(lines)} lines, three are enough"
         doc = inspect.getdoc(getattr(radiant, name)) or ""
         assert "Use it" in doc or not inspect.isfunction(getattr(radiant, name)), f"{name} does not say when to use it"
-        called = {node.func.attr for line in lines for node in ast.walk(ast.parse(line.source)) if _is_of_radiant(node)}
-        assert called <= set(radiant.__all__), f"the example of {name} calls what is not promised"
-        for node in (node for line in lines for node in ast.walk(ast.parse(line.source)) if _is_of_radiant(node)):
-            given = inspect.signature(getattr(radiant, node.func.attr))
-            given.bind_partial(*node.args, **{each.arg: each.value for each in node.keywords if each.arg})
+        for called, node in calls_of(lines):
+            assert called in radiant.__all__, f"the example of {name} calls {called}, which is not promised"
+            given = {each.arg: each.value for each in node.keywords if each.arg}
+            inspect.signature(getattr(radiant, called)).bind_partial(*node.args, **given)
 
 
-def _is_of_radiant(node: ast.AST) -> TypeGuard[Any]:
-    is_call = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
-    return is_call and isinstance(node.func.value, ast.Name) and node.func.value.id == "radiant"
+def calls_of(lines: list[doctest.Example]) -> Iterator[tuple[str, ast.Call]]:
+    """What an example calls of radiant, as `radiant.train(scene)`."""
+    for node in (node for line in lines for node in ast.walk(ast.parse(line.source))):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and isinstance(node.func.value, ast.Name):
+            if node.func.value.id == "radiant":
+                yield node.func.attr, node
 
 
 @pytest.mark.parametrize("name", sorted(WITH_EXAMPLE))
