@@ -85,10 +85,11 @@ def test_what_users_call_says_when_and_how_in_a_few_lines() -> None:
 
 def calls_of(lines: list[doctest.Example]) -> Iterator[tuple[str, ast.Call]]:
     """What an example calls of radiant, as `radiant.train(scene)`."""
-    for node in (node for line in lines for node in ast.walk(ast.parse(line.source))):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and isinstance(node.func.value, ast.Name):
-            if node.func.value.id == "radiant":
-                yield node.func.attr, node
+    calls = (node for line in lines for node in ast.walk(ast.parse(line.source)) if isinstance(node, ast.Call))
+    for node in calls:
+        match node.func:
+            case ast.Attribute(value=ast.Name(id="radiant"), attr=name):
+                yield name, node
 
 
 @pytest.mark.parametrize("name", sorted(WITH_EXAMPLE))
