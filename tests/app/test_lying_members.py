@@ -247,11 +247,11 @@ def test_no_photograph_of_a_device_weighs_more_than_any_of_8_bits() -> None:
 def test_files_of_scores_that_are_none_are_left_out(tmp_path: Path) -> None:
     for name, (path, value) in {"one": ("borders.0.extra", 1), "two": ("images.0.psnr_db", None)}.items():
         write_json(tmp_path / f"{name}.json", changed(SCORES, path, value))
-    write_json(tmp_path / "honest.json", SCORES)
+    write_json(tmp_path / "d.json", SCORES)
     said: list[tuple[str, str]] = []
-    files = {name: tmp_path / f"{name}.json" for name in ("one", "honest", "two")}
+    files = {name: tmp_path / f"{name}.json" for name in ("one", "d", "two")}
     admitted = admit_scores(files, lambda device: CLAIMABLE, lambda *each: said.append(each))
-    assert [*admitted] == ["honest"] and [device for device, _ in said] == ["one", "two"]
+    assert [*admitted] == ["d"] and [device for device, _ in said] == ["one", "two"]
 
 
 @pytest.mark.parametrize("text", ["[" * 3000, "{}", '{"versions": {"joined": "20", "cut": [1]}}', '{"versions": 5}', ""])
