@@ -188,7 +188,8 @@ def join(
     Example:
         >>> scene, splats = radiant.load_scene("SCENE"), radiant.load_splats("model.ply")
         >>> halves = [scene.cameras.select(scene.indices("training")[part::2]) for part in (0, 1)]
-        >>> joined = radiant.join([(splats, half) for half in halves], long_side_px=64, num_epochs=1)
+        >>> parts = [(splats, half) for half in halves]
+        >>> joined = radiant.join(parts, long_side_px=64, num_epochs=1)
     """
     config, _ = fit_to_backend(train_preset("default"), resolve_backend("auto"), Overrides(long_side_px=long_side_px))
     rules = Join(epochs=num_epochs)
@@ -225,7 +226,7 @@ class Scores:
 def evaluate(splats: Splats, scene: Scene, listen: Listener = _silent, *, long_side_px: int = 576, light: LightMode = "auto") -> Scores:
     """Score a model on the held-out photographs of its scene, as `radiant train` and `run` do.
 
-    Use it to compare models of one scene: 20 dB is rough, 25 good, 30 hard to tell from photographs.
+    Use it to compare models of one scene: 20 dB is rough, 25 good, 30 like the photographs.
 
     Args:
         splats: the model, in the frame of the scene.

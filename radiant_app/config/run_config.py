@@ -300,7 +300,7 @@ class TrainOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class AggregateOptions:
-    """How edges and the cloud join models: a preset, and what of each `Join` is to differ from it."""
+    """How edges and the cloud join models: a preset, and what of each `Join` is to differ."""
 
     preset: Annotated[AggregatePreset, Option(name="--aggregate-preset")] = "default"
     """paper: retrain every parameter at the edges and the cloud."""
@@ -368,7 +368,8 @@ class RunConfig:
     Example:
         >>> training = radiant.TrainOptions(preset="draft", num_steps=300)
         >>> plan = radiant.PlanOptions(devices=4)
-        >>> config = radiant.RunConfig(source=Path("PHOTOS"), out=Path("RUN"), train=training, plan=plan)
+        >>> places = {"source": Path("PHOTOS"), "out": Path("RUN")}
+        >>> config = radiant.RunConfig(**places, train=training, plan=plan)
     """
 
     source: Path

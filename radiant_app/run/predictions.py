@@ -82,8 +82,8 @@ def with_fixed_steps(system: System, train: TrainConfig) -> System:
 
 
 def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photographs: int, num_devices: int) -> tuple[float, float]:
-    """Of a join in `EDGE_EPOCHS` or `CLOUD_EPOCHS`, for which profiles hold, what one takes at the edges and at
-    the cloud after such trainings."""
+    """Of a join in `EDGE_EPOCHS` or `CLOUD_EPOCHS`, for which profiles hold, what one takes at the
+    edges and at the cloud after such trainings."""
     if aggregate.edge.method == "paper" or not num_photographs or not num_devices:
         return 1.0, 1.0
     edge, cloud = aggregate.epochs_after(trainings_of(train, num_photographs, num_devices))

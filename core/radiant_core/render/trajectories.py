@@ -22,8 +22,8 @@ MAX_SIDE_PX = 8192
 
 @dataclass(frozen=True, kw_only=True)
 class Lens:
-    """What each frame is taken with: size in px, by default 960 × 540; field of view across the wider
-    side in degrees, by default 60.
+    """What each frame is taken with: size in px, by default 960 × 540; field of view across the
+    wider side in degrees, by default 60.
 
     Example:
         >>> lens = radiant.Lens(size_wh=(640, 480), field_of_view_deg=75)

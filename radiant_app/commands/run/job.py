@@ -1,4 +1,5 @@
-"""The process of one job of a batch: `python -m radiant_app.commands.run.job run FOLDER STAGE KEY`."""
+"""The process of one job of a batch: `python -m radiant_app.commands.run.job run FOLDER STAGE
+KEY`."""
 
 from __future__ import annotations
 
