@@ -17,7 +17,8 @@ Arrays are numpy's, in metres, OpenCV's axes, pixels from the corner of the pict
 alone takes torch tensors, for gradients. Examples in docstrings have `radiant`, `numpy` as `np`,
 `torch`, `pathlib.Path` and `dataclasses.replace`; `help(radiant.train)` shows one. Every function
 that takes longer has `listen`, for which `progress()` draws bars. Unusable input is `BadInput`, a
-stage that fails is `StageFailed`, both `RadiantError`. Semantic versioning holds for the names in `__all__`.
+stage that fails is `StageFailed`, both `RadiantError`. Semantic versioning holds for the names in
+`__all__`.
 """
 
 from radiant.models import Scores, evaluate, export, join, load_splats, save_splats, train
