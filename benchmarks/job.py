@@ -26,8 +26,8 @@ import torch
 
 from benchmarks.metric import Metric
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import RunConfig, TrainOptions
-from radiant_app.run.pipeline import run
 from radiant_app.workers.sources import images_folder_of, load_scene_of
 from radiant_core import _native
 from radiant_core.evaluate.split import held_out_mask

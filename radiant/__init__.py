@@ -14,18 +14,20 @@ run → picture           picture
 model → figures         evaluate                             Scores
 
 Arrays are numpy's, in metres, OpenCV's axes, pixels from the corner of the picture. `rasterize`
-alone takes torch tensors, for gradients. Every function that takes longer has `listen`, for which
-`progress()` draws bars. Unusable input is `BadInput`, a stage that fails is `StageFailed`, both
-`RadiantError`. Semantic versioning holds for the names in `__all__`.
+alone takes torch tensors, for gradients. Examples in docstrings have `radiant`, `numpy` as `np`,
+`torch`, `pathlib.Path` and `dataclasses.replace`; `help(radiant.train)` shows one. Every function
+that takes longer has `listen`, for which `progress()` draws bars. Unusable input is `BadInput`, a
+stage that fails is `StageFailed`, both `RadiantError`. Semantic versioning holds for the names in
+`__all__`.
 """
 
 from radiant.models import Scores, evaluate, export, join, load_splats, save_splats, train
 from radiant.plans import RegionPlan, plan_regions
 from radiant.scenes import Scene, load_scene, reconstruct
 from radiant.showing import picture, progress
+from radiant_app.commands.run.pipeline import RunResult, run
 from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
 from radiant_app.files.system_file import even_system, load_system
-from radiant_app.run.pipeline import RunResult, run
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput, RadiantError, StageFailed

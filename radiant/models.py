@@ -52,6 +52,8 @@ def _silent(event: object) -> None:
 def load_splats(path: str | Path) -> Splats:
     """Load a model from a file of any kind that is read, told by its content.
 
+    Use it for models of this and of other programs, to render, clean, join or convert them.
+
     Args:
         path: a .ply (3DGS's or compressed), .spz, .splat, .sog, lod-meta.json or model.safetensors.
 
@@ -62,6 +64,13 @@ def load_splats(path: str | Path) -> Splats:
         BadInput: the file is missing, broken or of another kind.
 
     Gaussians that cannot be drawn are left out with a `UserWarning` that counts them.
+
+    Example:
+        >>> splats = radiant.load_splats("model.ply")
+        >>> splats.means.shape[1], splats.quats.shape[1]
+        (3, 4)
+        >>> len(splats.opacities) == len(splats)
+        True
     """
     model = read_model(Path(path))
     for note in model.notes:
@@ -72,8 +81,19 @@ def load_splats(path: str | Path) -> Splats:
 def save_splats(splats: Splats, path: str | Path) -> None:
     """Write a model: .ply keeps every bit; .spz and .sog round, some 16 and 20 bytes a Gaussian.
 
+    Use it for a model in memory; `export` writes a run or a file in all formats.
+
+    Args:
+        splats: the model.
+        path: the file, which is replaced where there is one.
+
     Raises:
-        BadInput: another ending; `export` has all formats.
+        BadInput: another ending.
+
+    Example:
+        >>> splats = radiant.load_splats("model.ply")
+        >>> opaque = splats.select(splats.opacities > 0.1)
+        >>> radiant.save_splats(opaque, "opaque.spz")
     """
     path = Path(path)
     if path.suffix.lower() not in _WRITERS:
@@ -96,14 +116,16 @@ def train(  # noqa: PLR0913
 ) -> TrainResult:
     """Fit one model to the training photographs of a scene, as `radiant train`.
 
+    Use it for a scene that one machine holds; `run` divides one among several.
+
     Args:
         scene: its held-out photographs, every eighth by name, are not looked at.
         config: a preset ("draft", "default", "standard", "paper"), reduced to what this machine
             finishes in minutes where it has no GPU; or a `TrainConfig`, which is taken as it is.
         listen: hears progress, decisions and warnings.
-        num_steps: of one photograph each; None: the preset's.
-        long_side_px: photographs are reduced to it; None: the preset's.
-        seed: of the order of photographs and every random choice.
+        num_steps: of one photograph each; None: the preset's, 1,500 of default on a CPU.
+        long_side_px: photographs are reduced to it; None: the preset's, 576 px on a CPU.
+        seed: of the order of photographs and every random choice; by default 0.
         rows: (K,) of `scene.cameras`, the photographs to train on; None: all but the held-out ones.
         loss: of a render and its photograph, torch tensors (H,W,3) of 0 to 1, to a scalar tensor;
             None: L1 and SSIM. Where settings are chosen by trials, these use L1 and SSIM.
@@ -118,6 +140,11 @@ def train(  # noqa: PLR0913
         BadInput: a setting, part or photograph that cannot be used.
         StageFailed: the training diverges.
         TypeError: `loss` returns anything but a scalar tensor with a gradient.
+
+    Example:
+        >>> scene = radiant.load_scene("SCENE")
+        >>> result = radiant.train(scene, num_steps=30, long_side_px=64)
+        >>> radiant.save_splats(result.splats, "trained.ply")
     """
     for number, part in enumerate(parts):
         if Part not in type(part).__mro__:
@@ -144,10 +171,12 @@ def join(
 ) -> Splats:
     """Join models of neighbouring places, in one frame, into one without their photographs.
 
+    Use it where models were trained apart: by several owners, or one after another.
+
     Args:
         models: each with the cameras that it was trained on, which say what it is trusted to show.
         listen: hears progress.
-        long_side_px: of the pictures that models show each other.
+        long_side_px: of the pictures that models show each other; by default 576 px.
         num_epochs: how often each is shown; None: as the cloud of a run after long trainings (5).
 
     Returns:
@@ -155,9 +184,15 @@ def join(
 
     Raises:
         BadInput: no model, or cameras of one name in two of them.
+
+    Example:
+        >>> scene, splats = radiant.load_scene("SCENE"), radiant.load_splats("model.ply")
+        >>> halves = [scene.cameras.select(scene.indices("training")[part::2]) for part in (0, 1)]
+        >>> parts = [(splats, half) for half in halves]
+        >>> joined = radiant.join(parts, long_side_px=64, num_epochs=1)
     """
     config, _ = fit_to_backend(train_preset("default"), resolve_backend("auto"), Overrides(long_side_px=long_side_px))
-    rules = Join() if num_epochs is None else Join(num_epochs=num_epochs)
+    rules = Join(epochs=num_epochs)
 
     def report(progress: TrainProgress) -> None:
         listen(StageProgress(stage="join", done=progress.step, total=progress.num_steps))
@@ -191,11 +226,13 @@ class Scores:
 def evaluate(splats: Splats, scene: Scene, listen: Listener = _silent, *, long_side_px: int = 576, light: LightMode = "auto") -> Scores:
     """Score a model on the held-out photographs of its scene, as `radiant train` and `run` do.
 
+    Use it to compare models of one scene: 20 dB is rough, 25 good, 30 like the photographs.
+
     Args:
         splats: the model, in the frame of the scene.
         scene: the photographs.
         listen: hears progress and warnings.
-        long_side_px: size at which they are compared.
+        long_side_px: size at which they are compared; by default 576 px.
         light: as the training's: auto predicts the light of a held-out photograph from the others,
             where light differs.
 
@@ -204,6 +241,12 @@ def evaluate(splats: Splats, scene: Scene, listen: Listener = _silent, *, long_s
 
     Raises:
         BadInput: masks leave nothing to compare.
+
+    Example:
+        >>> scene, splats = radiant.load_scene("SCENE"), radiant.load_splats("model.ply")
+        >>> scores = radiant.evaluate(splats, scene, long_side_px=64)
+        >>> len(scores.psnr_db), scores.mean_psnr_db > 10
+        (2, True)
     """
     cameras = scene.cameras.select(scene.indices("held_out")).scaled(long_side_px)
     cameras, used = select_scored(cameras, scene.masks, lambda message: listen(Warned(stage="evaluation", message=message)))
@@ -224,6 +267,8 @@ def export(
 ) -> dict[str, Any]:
     """Write a run or a model in the files of other programs, as `radiant export`.
 
+    Use it for other viewers, for survey programs and for the web.
+
     Args:
         model: the folder of a run, or a model file.
         out: the file or folder; its ending says the format.
@@ -236,6 +281,11 @@ def export(
 
     Raises:
         BadInput: the file exists, or the model cannot be written so.
+
+    Example:
+        >>> written = radiant.export("model.ply", "model.sog")
+        >>> written["format"]
+        'sog'
     """
     with ProgressDisplay(Console(quiet=True)) as display:
         return export_by_request(ExportRequest(model=Path(model), out=Path(out), format=kind, crs=crs, **options), display)

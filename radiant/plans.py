@@ -59,18 +59,26 @@ class RegionPlan:
 def plan_regions(cameras: Scene | ArrayLike, system: System, *, method: PlanMethod = "exact", seed: int = 0) -> RegionPlan:
     """Deal cameras to edges and their devices so that the last one ends as early as may be.
 
+    Use it to see who would take and train what, before capture too; `run` plans by itself.
+
     Args:
         cameras: a scene, of which the training photographs count, or positions (C,2) m, such as
             waypoints before capture.
         system: machines, from `load_system` or `even_system`; costs are those of its file.
         method: exact, or one of the paper's and its rivals.
-        seed: of the places of edges that have none.
+        seed: of the places of edges that have none; by default 0.
 
     Returns:
         The plan; rows count the training photographs of a scene (`scene.indices("training")`).
 
     Raises:
         BadInput: the machines cannot hold so many, or a position is not finite.
+
+    Example:
+        >>> waypoints = np.mgrid[0:60:10, 0:40:10].reshape(2, -1).T
+        >>> plan = radiant.plan_regions(waypoints, radiant.even_system(1, 2))
+        >>> [len(plan.cameras_of(device)) for device in plan.devices]
+        [12, 12]
     """
     positions = cameras.cameras.centers[cameras.indices("training"), :2] if isinstance(cameras, Scene) else np.asarray(cameras, float)
     placed = place_edges(system, positions, None, seed)

@@ -28,7 +28,14 @@ Part = Literal["training", "held_out", "all"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """Photographs with poses and sparse points. `load_scene` and `reconstruct` make it."""
+    """Photographs with poses and sparse points. `load_scene` and `reconstruct` make it.
+
+    Example:
+        >>> scene = radiant.load_scene("SCENE")
+        >>> views = scene.views("held_out", long_side_px=64)
+        >>> views.images[0].shape
+        (48, 64, 3)
+    """
 
     sfm: SfmScene
     """Cameras, points and which camera sees which point."""
@@ -81,6 +88,8 @@ class Scene:
 def load_scene(folder: str | Path) -> Scene:
     """Load the scene in a folder of `radiant sfm`, `radiant train` or `radiant run`.
 
+    Use it for all that comes after structure from motion: training, scoring, planning.
+
     Args:
         folder: the folder of such a command; `reconstruct` makes one of photographs.
 
@@ -89,6 +98,11 @@ def load_scene(folder: str | Path) -> Scene:
 
     Raises:
         BadInput: the folder holds no scene.
+
+    Example:
+        >>> scene = radiant.load_scene("SCENE")
+        >>> len(scene.indices("training")), len(scene.indices("held_out"))
+        (10, 2)
     """
     folder = Path(folder)
     scene, notes, images = load_scored_scene(folder)
@@ -107,6 +121,8 @@ def reconstruct(
 ) -> Scene:
     """Find poses and sparse points of photographs by structure from motion, as `radiant sfm`.
 
+    Use it once per set of photographs, minutes of which `load_scene` saves afterwards.
+
     Args:
         photographs: a folder of photographs, with an alignment or without, a COLMAP project or a
             Mill 19 folder.
@@ -122,6 +138,11 @@ def reconstruct(
     Raises:
         BadInput: photographs that cannot be used, in one sentence.
         StageFailed: too few photographs overlap.
+
+    Example:
+        >>> with radiant.progress() as listen:  # doctest: +SKIP
+        ...     scene = radiant.reconstruct("PHOTOGRAPHS", "NEW_SCENE", listen)
+        >>> result = radiant.train(scene)  # doctest: +SKIP
     """
     out = Path(out)
     paths = [None if path is None else Path(path) for path in (masks, poses)]

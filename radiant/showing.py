@@ -17,14 +17,18 @@ from radiant_viewer.runs.run_pictures import SIZE_WH, screenshot
 def progress(*, decisions: bool = False) -> AbstractContextManager[ProgressDisplay]:
     """A bar per stage with the time left, on a terminal and in a notebook.
 
-        with radiant.progress() as listen:
-            result = radiant.train(scene, listen=listen)
+    Use it around whatever takes longer than a few seconds.
 
     Args:
         decisions: whether what was decided and skipped is printed too, with its reason.
 
     Returns:
         A context manager; what it gives is a `listen`.
+
+    Example:
+        >>> scene = radiant.load_scene("SCENE")
+        >>> with radiant.progress() as listen:
+        ...     result = radiant.train(scene, num_steps=10, long_side_px=64, listen=listen)
     """
     return ProgressDisplay(Console(stderr=True), with_decisions=decisions)
 
@@ -34,11 +38,13 @@ def picture(
 ) -> NDArray[np.uint8]:
     """Draw a view of a run, a training or a scene, as `radiant inspect --screenshot`.
 
+    Use it in notebooks and reports; `radiant inspect` opens a window.
+
     Args:
         folder: of `radiant run`, `train` or `sfm`.
         view: regions (the plan), cameras, seams, splats (the model in 3D) or compare (photographs
             beside renders); None: the usual one.
-        size_wh: width and height in pixels.
+        size_wh: width and height in px, at least 640 × 420; by default 1,280 × 900.
         photograph: whose viewpoint "splats" takes, or the only row of "compare".
 
     Returns:
@@ -46,5 +52,10 @@ def picture(
 
     Raises:
         BadInput: an unknown view or photograph, or the folder holds nothing to draw.
+
+    Example:
+        >>> pixels = radiant.picture("SCENE", "cameras", size_wh=(640, 480))
+        >>> pixels.shape
+        (480, 640, 3)
     """
     return screenshot(Path(folder), view, size_wh, photograph)

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
-from radiant_app.run.pipeline import run
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json, write_json

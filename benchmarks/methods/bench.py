@@ -50,8 +50,9 @@ from benchmarks.off_path import off_path_metrics
 from benchmarks.options import HoldOut
 from benchmarks.rivals.fed3dgs import Fed3dgsConfig, fed3dgs
 from benchmarks.rivals.vast_gaussian import vast_gaussian
+from benchmarks.training_pixels import training_pixels
 from radiant_app.report.progress import track_items
-from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.config import CLOUD_EPOCHS, aggregate_preset, with_joins
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.tree import refines_for
@@ -68,8 +69,8 @@ from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.results import TrainProgress
 from radiant_core.train.trainer import FitOptions, fit_splats
-from radiant_core.train.training_pixels import training_pixels
 
+NOTHING_SET: Mapping[str, Any] = {}
 NUM_EPOCHS_OF_PHOTOGRAPHS = 10
 """As many as the paper retrains on synthetic views."""
 TWO_BY_TWO = Layout(num_edges=2, num_devices=2)
@@ -287,19 +288,19 @@ def _join_at_once(cell: Cell, recipe: Recipe) -> ArmModel:
 
     def work() -> tuple[Splats, float]:
         # Nobody refines this one: it is fitted.
-        rules = recipe.aggregate if recipe.aggregate.at_cloud.num_epochs else replace(recipe.aggregate, cloud_epochs=None)
-        joined = join_models(teachers, recipe.train, rules.at_cloud, FitOptions(backend=recipe.backend), claims)
+        rules = replace(recipe.aggregate.cloud, epochs=recipe.aggregate.cloud.epochs or CLOUD_EPOCHS)
+        joined = join_models(teachers, recipe.train, rules, FitOptions(backend=recipe.backend), claims)
         return joined.splats, float(joined.trained.num_steps * cameras.sizes_wh.prod(axis=1).mean())
 
     return _time_work(work)
 
 
-def _own_arm(name: str, make: Callable[[Cell, Recipe], ArmModel] = join, **changes: Any) -> Arm:
-    return Arm(name=name, make=make, recipe=lambda cell: replace(cell.recipe, aggregate=replace(cell.recipe.aggregate, **changes)))
+def _own_arm(name: str, make: Callable[[Cell, Recipe], ArmModel] = join, settings: Mapping[str, Any] = NOTHING_SET) -> Arm:
+    return Arm(name=name, make=make, recipe=lambda cell: replace(cell.recipe, aggregate=with_joins(cell.recipe.aggregate, settings, {})))
 
 
-def _paper_arm(name: str, make: Callable[[Cell, Recipe], ArmModel] = join, **changes: Any) -> Arm:
-    aggregate = replace(aggregate_preset("paper"), **changes)
+def _paper_arm(name: str, make: Callable[[Cell, Recipe], ArmModel] = join, settings: Mapping[str, Any] = NOTHING_SET) -> Arm:
+    aggregate = with_joins(aggregate_preset("paper"), settings, {})
     return Arm(name=name, make=make, recipe=lambda cell: replace(cell.recipe, aggregate=aggregate))
 
 
@@ -313,7 +314,7 @@ METHODS: Mapping[str, Arm] = {
         _own_arm("ours"),
         _own_arm("ours once", _join_at_once),
         _paper_arm("paper once", _join_at_once),
-        _own_arm("ours edges", cloud="crop_merge"),
+        _own_arm("ours edges", settings={"cloud.method": "crop_merge"}),
         Arm(name="even", make=join, recipe=lambda cell: cell.even),
         Arm(name="fixed steps", make=join, recipe=lambda cell: replace(cell.recipe, step_policy="fixed")),
         Arm(name="photographs", make=_on_photographs),
@@ -329,7 +330,7 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
     if num_epochs == 0:
         return METHODS["crop"]
     changed = {"ours": _own_arm, "paper": _paper_arm}[name]
-    return changed(f"{name} {num_epochs} epochs", cloud_epochs=num_epochs, edge_epochs=num_epochs)
+    return changed(f"{name} {num_epochs} epochs", settings={"cloud.epochs": num_epochs, "edge.epochs": num_epochs})
 
 
 def methods_table(rows: Sequence[ArmRow]) -> str:

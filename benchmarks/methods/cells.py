@@ -20,18 +20,19 @@ from shapely import MultiPoint, Point
 from benchmarks.hold_out import mask_of, name_of
 from benchmarks.options import OF_RUN, HeldPart
 from benchmarks.splits import AnyMethod, plan_by
+from benchmarks.training_pixels import training_pixels
 from radiant_app.files.run_folder import read_manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.report.prediction_error import SYSTEM_NAME
 from radiant_app.run.cutting import Planned, choose_cut, plan_places
 from radiant_app.workers.sources import captures_of, load_scored_scene, masks_folder_of
 from radiant_core import __version__
-from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.config import aggregate_preset, with_joins
 from radiant_core.choices import CutBy, UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.codec import load_task
 from radiant_core.hierarchy.device import device_model, fit_prepared, prepare_training
-from radiant_core.hierarchy.messages import DeviceModel, DeviceSettings, DeviceTask, EdgeTask, device_task
+from radiant_core.hierarchy.messages import CloudTask, DeviceModel, DeviceSettings, DeviceTask, EdgeTask, device_task
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.reporter import Recorder, Reporter
 from radiant_core.io.records import load_plan, load_splats, save_splats
@@ -48,7 +49,6 @@ from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_images, load_training_views
-from radiant_core.train.training_pixels import training_pixels
 from radiant_core.train.views import TrainingViews
 
 DEVICE_SPEEDS = (1.0, 0.6)
@@ -333,15 +333,17 @@ def run_cell(run: Path, cache: ModelCache) -> Cell:
             f"the plan of {run} deals {len(cloud_plan.edge_of_camera)} photographs, its scene has {len(scene.training.cameras)} "
             f"to train on: make the run anew, or give a layout such as 2x2."
         )
+    config = read_manifest(run).config
+    aggregate = with_joins(aggregate_preset(config["aggregate"]["preset"]), {}, config.get("refine", {}))
     recipe = Recipe(
         system=load_system(run / SYSTEM_NAME),
         cloud_plan=cloud_plan,
         edge_plans=edge_plans,
         train=tasks[0].train,
-        aggregate=tasks[0].aggregate,
+        aggregate=replace(aggregate, edge=tasks[0].join, cloud=load_task(CloudTask, run / "cloud").join),
         backend=tasks[0].backend,
         upload=tasks[0].upload,
-        step_policy=read_manifest(run).config["train"].get("step_policy", "fixed"),
+        step_policy=config["train"].get("step_policy", "fixed"),
     )
     name = f"{scene.name}-{OF_RUN}-s{recipe.train.seed}"
     return Cell(name=name, scene=scene, layout=_layout_around(recipe.system), recipe=recipe, cache=cache)

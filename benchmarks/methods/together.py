@@ -17,6 +17,7 @@ from benchmarks.methods.cells import Cell
 from benchmarks.methods.comparing import comparisons
 from benchmarks.methods.emulated_latency import NodeClock, NodeWork
 from benchmarks.methods.group_latency import work_of
+from benchmarks.training_pixels import training_pixels
 from radiant_core.aggregate.tree import refines_for
 from radiant_core.errors import StageFailed
 from radiant_core.hierarchy.codec import refinement_bytes, sent_bytes
@@ -25,7 +26,6 @@ from radiant_core.hierarchy.group_models import cameras_of_starts
 from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.in_process import run_in_process
 from radiant_core.hierarchy.recipe import Recipe
-from radiant_core.train.training_pixels import training_pixels
 
 MOST_VIEWS_PER_DEVICE = 2
 """Of a step, in the mean: more views make fewer steps."""

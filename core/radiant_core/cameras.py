@@ -21,6 +21,12 @@ class Cameras:
     1]; cam_from_world (C,4,4) rigid, in metres; sizes_wh (C,2) px. Raises BadInput when shapes
     disagree, a value is not finite, a focal length or size is not positive, a K has another form, a
     name comes twice or a pose is not rigid.
+
+    Example:
+        >>> cameras = radiant.load_scene("SCENE").cameras
+        >>> first = cameras.select([0]).scaled(64)  # px on the long side
+        >>> first.sizes_wh.tolist(), first.centers.shape
+        ([[64, 48]], (1, 3))
     """
 
     names: tuple[str, ...]

@@ -30,6 +30,12 @@ class Splats:
 
     Raises BadInput on a wrong shape or a value that is not finite, naming the tensor, the count and
     the first index.
+
+    Example:
+        >>> splats = radiant.load_splats("model.ply")
+        >>> low = splats.select(splats.means[:, 2] < np.median(splats.means[:, 2]))
+        >>> 0 < len(low) < len(splats)
+        True
     """
 
     means: NDArray[np.float32]

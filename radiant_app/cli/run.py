@@ -81,7 +81,7 @@ def run_and_print(config: RunConfig, resume: bool, as_json: bool, *, verbose: bo
     from radiant_app.report.progress import show_starting, terminal_display
 
     with show_starting():
-        from radiant_app.run.pipeline import run as run_pipeline
+        from radiant_app.commands.run.pipeline import run as run_pipeline
 
     with terminal_display(with_decisions=verbose) as listen:
         result = run_pipeline(config, listen, resume=resume)

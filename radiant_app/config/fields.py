@@ -2,8 +2,8 @@
 
     values of paths  ─config_of→  RunConfig  ─tables_of→  tables of a run file  ─values_of→  values
 
-Fields of `TrainConfig`, `AggregateConfig` and `Refine` belong to the sections train, aggregate and
-refine, where they are settings beside a preset.
+Fields of `TrainConfig`, of both joins of `AggregateConfig` and of `Refine` belong to the sections
+train, aggregate and refine, where they are settings beside a preset.
 """
 
 from __future__ import annotations
@@ -25,7 +25,15 @@ from radiant_core.errors import BadInput
 
 PRESET = "preset"
 """Not a field of `RunConfig`: a name for the values of several."""
-NEW_PATHS = {"aggregate.refine_epochs": "refine.epochs", "aggregate.refine_rounds": "refine.rounds"}
+_OF_BOTH = ("max_num_steps", "retrain_single", "foreign_opacity", "faint_opacity", "agreement_db", "weight_by_alpha")
+NEW_PATHS = {
+    "aggregate.refine_epochs": "refine.epochs",
+    "aggregate.refine_rounds": "refine.rounds",
+    "aggregate.edge_epochs": "aggregate.edge.epochs",
+    "aggregate.cloud_epochs": "aggregate.cloud.epochs",
+    "aggregate.cloud": "aggregate.cloud.method",
+    **{f"aggregate.{name}": f"aggregate.edge.{name} and aggregate.cloud.{name}" for name in _OF_BOTH},
+}
 """Earlier path of a field → where it is now."""
 _PRESET_HELP = (
     "paper: everything as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud "
@@ -228,7 +236,7 @@ def with_settings(of_options: Mapping[str, Any], settings: Sequence[str], sectio
 
 
 def _unknown_key(path: str, value: Any, kind: str) -> str:
-    if any(name.startswith(f"{path}.") for name in config_fields()):
+    if path not in NEW_PATHS and any(name.startswith(f"{path}.") for name in config_fields()):
         return f"{path} is {value!r}, expected a section, [{path}]."
     sections = {name.rpartition(".")[0] for name in config_fields()} - {""}
     if isinstance(value, dict) and (near := get_close_matches(path, sections, 1)):

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args, get_type_hints
 
 from radiant_app.quantities import seconds_of
-from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, Refine, aggregate_preset
+from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, Refine, aggregate_preset, joining_types, with_joins
 from radiant_core.choices import (
     Contradictions,
     CutBy,
@@ -35,7 +35,7 @@ from radiant_core.choices import (
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.sfm.intake import AS_FOUND, Intake
-from radiant_core.train.config import Preset, setting_types, train_preset, with_settings
+from radiant_core.train.config import CHECKPOINT_EVERY_S, Preset, setting_types, train_preset, with_settings
 
 if TYPE_CHECKING:
     from radiant_core.train.needs import Overrides
@@ -300,14 +300,12 @@ class TrainOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class AggregateOptions:
-    """How models are joined: a preset, and whatever of `AggregateConfig` is to differ from it."""
+    """How edges and the cloud join models: a preset, and what of each `Join` is to differ."""
 
     preset: Annotated[AggregatePreset, Option(name="--aggregate-preset")] = "default"
     """paper: retrain every parameter at the edges and the cloud."""
-    settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, AggregateConfig), fixed=("preset", "refine"))] = field(
-        default_factory=dict
-    )
-    """Field of `AggregateConfig` → its value."""
+    settings: Annotated[Mapping[str, Any], SettingsOf(types=joining_types, fixed=())] = field(default_factory=dict)
+    """Path of a field of `AggregateConfig`, as edge.epochs → its value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -341,7 +339,7 @@ class ExecutionOptions:
     """ray: host:port of the cluster's head, or local."""
     deadline_factor: Annotated[float, Option(min=0)] = 10.0
     """Drop a node that takes this many times its planned time; 0: never."""
-    checkpoint_every_s: Annotated[float, Option(name="--checkpoint-every", parse=seconds_of, default_text="10s")] = 10.0
+    checkpoint_every_s: Annotated[float, Option(name="--checkpoint-every", parse=seconds_of, default_text="10s")] = CHECKPOINT_EVERY_S
     """Time between two checkpoints of a training."""
 
     @property
@@ -366,6 +364,12 @@ class RunConfig:
 
     Raises:
         BadInput: settings that contradict each other, or a value out of range.
+
+    Example:
+        >>> training = radiant.TrainOptions(preset="draft", num_steps=300)
+        >>> plan = radiant.PlanOptions(devices=4)
+        >>> places = {"source": Path("PHOTOS"), "out": Path("RUN")}
+        >>> config = radiant.RunConfig(**places, train=training, plan=plan)
     """
 
     source: Path
@@ -409,8 +413,7 @@ class RunConfig:
     @property
     def joining(self) -> AggregateConfig:
         """How models are joined and the scene is refined: the preset with the settings."""
-        preset = aggregate_preset(self.aggregate.preset)
-        return replace(preset, **self.aggregate.settings, refine=replace(preset.refine, **self.refine.settings))
+        return with_joins(aggregate_preset(self.aggregate.preset), self.aggregate.settings, self.refine.settings)
 
     @property
     def cell_m(self) -> float | None:

@@ -29,7 +29,7 @@ from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, StageFailed, StoreDamaged
 from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_json, read_bounded, read_json, write_json
 
-MANIFEST_VERSION = 3
+MANIFEST_VERSION = 4
 EARLIER = (
     "was made by an earlier version of radiant, which wrote tasks and settings in another form: begin again in another folder; its scene "
     "stays readable"
@@ -302,7 +302,7 @@ def software_versions() -> dict[str, str]:
 class _Record(BaseModel):
     model_config = ConfigDict(strict=True, extra="ignore")
 
-    version: Literal[1, 2, 3]
+    version: Literal[1, 2, 3, 4]
     config: dict[str, Any]
     stages: dict[str, dict[str, float]]
     emulated: dict[str, dict[str, float]] = {}

@@ -324,7 +324,19 @@ class _File(Strict):
 
 def load_system(path: Path, *, curves: bool = False) -> System:
     """The system in a TOML file; BadInput names the file, the key, what came and what is expected.
-    Edges described by their curve alone, without a device, are refused unless `curves`."""
+    Edges described by their curve alone, without a device, are refused unless `curves`. Use it for
+    machines that differ in speed, memory or links (docs/system_files.md).
+
+    Args:
+        path: the TOML file.
+        curves: whether an edge may be a curve of its time.
+
+    Example:
+        >>> system = radiant.load_system(Path("system.toml"))
+        >>> plan = radiant.plan_regions(radiant.load_scene("SCENE"), system)
+        >>> sum(len(plan.cameras_of(device)) for device in plan.devices)
+        10
+    """
     tables = load_toml(path, "system file")
     try:
         file = _File.model_validate(tables)
@@ -349,7 +361,17 @@ def dump_system(system: System) -> str:
 
 def even_system(num_edges: int, devices_per_edge: int) -> System:
     """Equal edges with equal devices at the file's defaults, placed among the cameras later;
-    BadInput below one of either."""
+    BadInput below one of either. Use it where machines are alike; `load_system` reads unequal ones.
+
+    Args:
+        num_edges: servers that join, each with a region.
+        devices_per_edge: machines that train below each.
+
+    Example:
+        >>> system = radiant.even_system(2, 2)
+        >>> [device.id for device in system.devices]
+        ['edge-1-1', 'edge-1-2', 'edge-2-1', 'edge-2-2']
+    """
     if num_edges < 1 or devices_per_edge < 1:
         raise BadInput(f"{num_edges} edges with {devices_per_edge} devices each were asked for: give at least one of either.")
     names = [f"edge-{index + 1}" for index in range(num_edges)]

@@ -1,1 +1,2 @@
-"""Machines of different owners that meet over a network: who they are, what they ask each other."""
+"""Machines of different owners that meet over a network: what cloud, edges and devices do with a
+run, and what carries that between them."""

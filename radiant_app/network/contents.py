@@ -79,7 +79,7 @@ class Summary(UntrustedRecord):
     last_loss: float = Field(ge=-MOST, le=MOST)
 
     @model_validator(mode="after")
-    def _is_small(self) -> Summary:
+    def _check_sizes(self) -> Summary:
         if len(extra := self.model_extra or {}) > 64 or max(map(len, extra), default=0) > 64:
             raise ValueError("it has more figures than a training")
         return self

@@ -20,7 +20,7 @@ from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.progress import Progress
 from radiant_app.workers.folder_kinds import require_photographs
-from radiant_app.workers.rasters import Raster, raster_of
+from radiant_app.workers.rasters import raster_of
 from radiant_app.workers.tasks import PositionsTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
@@ -133,12 +133,6 @@ def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progres
         origin=origin,
         cell_middles=by_device,
     )
-
-
-def middles_of_raster(raster: Raster | Mapping[str, Any]) -> FloatArray:
-    """The middle (K,3) of its cell, deg, deg, m, for every photograph that a device's raster
-    counts; BadInput where it is none."""
-    return (raster if isinstance(raster, Raster) else raster_of(raster)).middles
 
 
 def place_rasters(places: Mapping[str, FloatArray], progress: Progress) -> tuple[FloatArray, dict[str, FloatArray]]:

@@ -1,23 +1,24 @@
 """`conduct`: one run from its plan to its score, wherever photographs are and whoever works. Once
 per run.
 
-    Source      where photographs are: planned, dealt and scored (pooled.py, on_devices.py,
-                far_devices.py)
+    Source      where photographs are: planned, dealt and scored (pooled.py, on_devices.py;
+                network/far_devices.py)
     Conductor   who does the work of nodes: this machine or its cluster (here.py), or machines of
-                owners (over_network.py)
+                owners (network/cloud.py); at an edge of these, its devices (network/regions.py)
 
     plan ─ fold the tree ─ a model? ─ fold rounds of refining ─ score
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Outlined
+from radiant_app.events import Listener, Outlined
 from radiant_app.executors.fold import Deadlines, RetryPolicy
-from radiant_app.executors.protocol import Executor, Prepare
+from radiant_app.executors.protocol import Executor, NodeTime, Prepare
 from radiant_app.run.dealing import Dealer
 from radiant_app.run.foreseen import foresee_planned
 from radiant_app.run.groups import end_groups, prepare_meetings, tell_parents, with_groups
@@ -29,6 +30,10 @@ from radiant_app.run.stages import make_recipe, make_time_left_listener
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import StageFailed
 from radiant_core.hierarchy.recipe import Recipe, devices_with_photographs
+
+Clock = Callable[[], float]
+Times = Mapping[str, Mapping[str, float]]
+"""Node → started_s and ended_s."""
 
 
 class Conductor(Protocol):
@@ -42,7 +47,7 @@ class Conductor(Protocol):
         """Processes of devices and edges at a time."""
         ...
 
-    def make_executor(self, plan: Plan, progress: Progress, retry_policy: RetryPolicy) -> Executor:
+    def make_executor(self, plan: Plan, clock: Clock, retry_policy: RetryPolicy) -> Executor:
         """Runs trees of the run."""
         ...
 
@@ -50,9 +55,33 @@ class Conductor(Protocol):
         """Fills the folder of a node of the run's tree, or of a round."""
         ...
 
-    def refining_deadlines(self, dealer: Dealer, tree: Tree, progress: Progress) -> Deadlines | None:
+    def refining_deadlines(self, dealer: Dealer, tree: Tree, times: Times) -> Deadlines | None:
         """How long nodes of a round may take; None: who works keeps to deadlines of its own."""
         ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Folding:
+    """Folds the trees of one run, or of a region of it: that of its models, and its rounds."""
+
+    dealer: Dealer
+    conductor: Conductor
+    plan: Plan
+    clock: Clock
+
+    def make_executor(self, policy: RetryPolicy) -> Executor:
+        """The conductor's, for this plan."""
+        return self.conductor.make_executor(self.plan, self.clock, policy)
+
+    def fold(self, tree: Tree, executor: Executor, listen: Listener) -> Mapping[str, NodeTime]:
+        """Let the devices of a tree work, and what is above them; when each node did."""
+        return executor.fold(tree, self.conductor.preparing(self.dealer), listen)
+
+    def fold_round(self, tree: Tree, times: Times, listen: Listener) -> None:
+        """Let devices refine the scene, and average upwards; `times`: of nodes, what they took
+        before."""
+        deadlines = self.conductor.refining_deadlines(self.dealer, tree, times)
+        self.fold(tree, self.make_executor(RetryPolicy(may_fail=lambda node, error: True, deadlines=deadlines)), listen)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,8 +117,9 @@ def conduct(config: RunConfig, source: Source, conductor: Conductor, plan: Plan,
         reassignment = Reassignment(dealer=dealer, positions=source.positions, tree=tree, first_plan_key=first_key, listen=listen)
         retry_policy = replace(retry_policy, on_given_up=reassignment)
     retry_policy = replace(retry_policy, on_given_up=tell_parents(config.out, recipe, retry_policy.on_given_up))
-    executor = conductor.make_executor(plan, progress, retry_policy)
-    executor.fold(tree, conductor.preparing(dealer), listen)
+    folding = Folding(dealer=dealer, conductor=conductor, plan=plan, clock=progress.clock)
+    executor = folding.make_executor(retry_policy)
+    folding.fold(tree, executor, listen)
     end_groups(config.out, recipe)
     _require_model(dealer)
     # Nodes without a result, or with nothing to do now, would be waited for in every count.
@@ -98,7 +128,8 @@ def conduct(config: RunConfig, source: Source, conductor: Conductor, plan: Plan,
     finished = [*before, *filter(dealer.is_done, nodes)]
     rounds = plan_rounds(dealer, progress.listen)
     progress.listen(Outlined(stages=(*finished, *(node.id for round_tree in rounds for node in round_tree), *after)))
-    rounds = _refine(dealer, rounds, conductor, plan, progress)
+    times = {**progress.manifest.stages, **progress.manifest.emulated}
+    rounds = fold_rounds(dealer, rounds, lambda round_tree: folding.fold_round(round_tree, times, progress.listen), progress.listen)
     refined = [node.id for round_tree in rounds for node in round_tree if dealer.is_done(node.id)]
     progress.listen(Outlined(stages=(*finished, *refined, *after)))
     source.score(dealer, executor, progress)
@@ -109,13 +140,3 @@ def _require_model(dealer: Dealer) -> None:
     if not dealer.has_model("cloud"):
         reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
         raise StageFailed(f"no device delivered a model that could be used. {reasons}")
-
-
-def _refine(dealer: Dealer, rounds: tuple[Tree, ...], conductor: Conductor, plan: Plan, progress: Progress) -> tuple[Tree, ...]:
-    """Refine the joined scene on the devices; it stays as it is where none of them can."""
-
-    def fold(tree: Tree) -> None:
-        policy = RetryPolicy(may_fail=lambda node, error: True, deadlines=conductor.refining_deadlines(dealer, tree, progress))
-        conductor.make_executor(plan, progress, policy).fold(tree, conductor.preparing(dealer), progress.listen)
-
-    return fold_rounds(dealer, rounds, fold, progress.listen)

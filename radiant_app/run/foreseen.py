@@ -156,8 +156,9 @@ def _work_s(config: RunConfig, work: _Work) -> tuple[float, float, float, float,
     training_s, joining_s, refining_s = LOAD_CPU_S + views * view_s / num_cores, START_CPU_S, 0.0
     if work.joins:
         trainings = trainings_of(train, work.num_photographs, len(work.counts))
-        aggregate = config.joining.joining_after(trainings)
-        epochs = aggregate.at_edge.num_epochs + (aggregate.at_cloud.num_epochs if work.num_edges > 1 else 0)
+        aggregate = config.joining
+        at_edge, at_cloud = aggregate.epochs_after(trainings)
+        epochs = at_edge + (at_cloud if work.num_edges > 1 else 0)
         joining_s = START_CPU_S * (work.num_edges + 1) + epochs * work.num_photographs * view_s
         if aggregate.refine.is_asked_for:
             steps = sum(refining_steps(aggregate.refine.epochs_after(trainings), count) for count in work.counts)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from radiant_app.config.run_config import RunConfig
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.protocol import Executor, Prepare
 from radiant_app.run.dealing import Dealer
-from radiant_app.run.progress import Progress
 from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.source import Plan, Source
 from radiant_app.run.stages import make_executor, workers_of
@@ -31,15 +31,15 @@ class Here:
         del tree
         return workers_of(self.config, plan)
 
-    def make_executor(self, plan: Plan, progress: Progress, retry_policy: RetryPolicy) -> Executor:
+    def make_executor(self, plan: Plan, clock: Callable[[], float], retry_policy: RetryPolicy) -> Executor:
         """Local, emulated or a Ray cluster."""
-        return make_executor(self.config, plan, progress, retry_policy)
+        return make_executor(self.config, plan, clock, retry_policy)
 
     def preparing(self, dealer: Dealer) -> Prepare:
         """As it is dealt."""
         return dealer.prepare
 
-    def refining_deadlines(self, dealer: Dealer, tree: Tree, progress: Progress) -> RefiningDeadlines:
+    def refining_deadlines(self, dealer: Dealer, tree: Tree, times: Mapping[str, Mapping[str, float]]) -> RefiningDeadlines:
         """By what its machines took before."""
-        expected_s = expected_times(dealer, tree, progress.manifest)
+        expected_s = expected_times(dealer, tree, times)
         return RefiningDeadlines(expected_s=expected_s, deadline_factor=self.config.execution.deadline_factor)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from radiant_app.files.system_file import even_system
-from radiant_core.aggregate.config import JOINING_EPOCHS, AggregateConfig, AggregatePreset
+from radiant_core.aggregate.config import CLOUD_EPOCHS, EDGE_EPOCHS, AggregateConfig, AggregatePreset
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.recipe import trainings_of
 from radiant_core.hierarchy.refining_plan import refining_steps
@@ -82,13 +82,12 @@ def with_fixed_steps(system: System, train: TrainConfig) -> System:
 
 
 def joining_shares(train: TrainConfig, aggregate: AggregateConfig, num_photographs: int, num_devices: int) -> tuple[float, float]:
-    """Of a join in `JOINING_EPOCHS`, for which profiles hold, what one takes at the edges and at
-    the cloud after such trainings."""
-    if aggregate.preset == "paper" or not num_photographs or not num_devices:
+    """Of a join in `EDGE_EPOCHS` or `CLOUD_EPOCHS`, for which profiles hold, what one takes at the
+    edges and at the cloud after such trainings."""
+    if aggregate.edge.method == "paper" or not num_photographs or not num_devices:
         return 1.0, 1.0
-    joining = aggregate.joining_after(trainings_of(train, num_photographs, num_devices))
-    at_edges = share_of_epochs(joining.at_edge.num_epochs, JOINING_EPOCHS[0])
-    return at_edges, share_of_epochs(joining.at_cloud.num_epochs, JOINING_EPOCHS[1], BESIDE_EPOCHS_AT_CLOUD)
+    edge, cloud = aggregate.epochs_after(trainings_of(train, num_photographs, num_devices))
+    return share_of_epochs(edge, EDGE_EPOCHS), share_of_epochs(cloud, CLOUD_EPOCHS, BESIDE_EPOCHS_AT_CLOUD)
 
 
 def share_of_epochs(epochs: int, most: int, share_beside: float = BESIDE_EPOCHS) -> float:

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from radiant_app.files.run_folder import Manifest
 from radiant_app.run.dealing import Dealer
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR
 from radiant_core.aggregate.tree import Tree, refines_for
@@ -55,11 +54,10 @@ class RefiningDeadlines:
         return f"it has run for {ran_s:.0f} s, where its own work before the scene was joined says {expected_s:.0f} s"
 
 
-def expected_times(dealer: Dealer, tree: Tree, manifest: Manifest) -> dict[str, float]:
-    """Seconds that each node of a round should take; one whose own time is not known gets the
-    median of its tier."""
+def expected_times(dealer: Dealer, tree: Tree, times: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Seconds that each node of a round should take by when their own nodes started and ended; one
+    whose time is not known gets the median of its tier."""
     scene = _summary(dealer.run / "cloud")
-    times = {**manifest.stages, **manifest.emulated}
     expected: dict[str, float] = {}
     for node in tree:
         refined = refines_for(node.id)

@@ -28,7 +28,7 @@ from radiant_app.workers.tasks import Move, ScoreTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, scored_at
 from radiant_core.choices import LpipsNetwork, Version
-from radiant_core.errors import BadInput, StageFailed
+from radiant_core.errors import StageFailed
 from radiant_core.evaluate.seam_excess import SeamExcess, excess_by_border, pooled_excess
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.codec import SUMMARY_NAME, TASK_NAME, save_task, task_key
@@ -78,7 +78,7 @@ class Scoring:
 
     def run(self, dealer: Dealer, executor: Executor, progress: Progress) -> dict[str, Any]:
         """Keep the version of the dealer's scene that is best on all machines, and combine its
-        figures; raises as `combine_scores`."""
+        figures; raises as `combine_figures`."""
 
         def score(scenes: Mapping[Version, Path]) -> dict[str, Path]:
             self.scenes = scenes
@@ -174,19 +174,6 @@ class Scoring:
 def regions_alone(plan: CloudPlan) -> CloudPlan:
     """A plan without cameras, and without where they look: a device receives none of others."""
     return replace(plan, edge_of_camera=np.zeros(0, np.int64), looks=None)
-
-
-def combine_scores(run: Path, scores: Mapping[str, Path], lpips_network: LpipsNetwork | None) -> dict[str, Any]:
-    """Combine the files of scores, by machine, into the figures of metrics.json. A machine whose
-    file holds no scores is left out, and named under `scores_left_out`; raises as
-    `combine_figures`."""
-    usable, left_out = dict[str, Scores](), dict[str, str]()
-    for machine, path in scores.items():
-        try:
-            usable[machine] = read_scores(path)
-        except BadInput as error:
-            left_out[machine] = str(error)
-    return {**combine_figures(run, usable, lpips_network), **({"scores_left_out": left_out} if left_out else {})}
 
 
 def combine_figures(run: Path, scores: Mapping[str, Scores], lpips_network: LpipsNetwork | None) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -227,14 +227,14 @@ def workers_of(config: RunConfig, plan: Plan) -> int:
     return execution.num_workers if execution.max_workers or plan.num_workers is None else min(execution.num_workers, plan.num_workers)
 
 
-def make_executor(config: RunConfig, plan: Plan, progress: Progress, retry_policy: RetryPolicy) -> Executor:
+def make_executor(config: RunConfig, plan: Plan, clock: Callable[[], float], retry_policy: RetryPolicy) -> Executor:
     """Return the executor of a run: local, emulated or a Ray cluster."""
     retry_policy = replace(retry_policy, max_attempts=ATTEMPTS)
     if config.execution.address is not None:
         from radiant_app.executors.ray_cluster import LOG_NAME, RayExecutor
 
-        return RayExecutor(address=config.execution.address, log=config.out / LOG_NAME, clock=progress.clock, retry_policy=retry_policy)
-    local = LocalExecutor(num_workers=workers_of(config, plan), clock=progress.clock, retry_policy=retry_policy)
+        return RayExecutor(address=config.execution.address, log=config.out / LOG_NAME, clock=clock, retry_policy=retry_policy)
+    local = LocalExecutor(num_workers=workers_of(config, plan), clock=clock, retry_policy=retry_policy)
     return EmulatedExecutor(system=plan.system, local=local) if config.emulated else local
 
 
@@ -281,7 +281,8 @@ def resolve_training(config: RunConfig, progress: Progress) -> tuple[TrainConfig
     train, decisions = fit_to_backend(preset, backend, config.train.overrides)
     aggregate = config.joining
     if backend == "reference" and train.reduce_on_cpu:
-        aggregate = replace(aggregate, max_num_steps=REFERENCE_RETRAIN_STEPS)
+        limited = {name: replace(getattr(aggregate, name), max_num_steps=REFERENCE_RETRAIN_STEPS) for name in ("edge", "cloud", "refine")}
+        aggregate = replace(aggregate, **limited)
         decisions = (*decisions, _retrain_decision())
     for decision in decisions:
         progress.listen(Decided(decision=decision))

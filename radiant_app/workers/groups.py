@@ -34,7 +34,7 @@ def run_group_edge(folder: Path, task: EdgeTask, group: GroupTraining, reporter:
         refused = {device: relayed.refused.get(device, NOT_BEGUN) for device, move in moves.items() if move is None}
         return [SUMMARY_NAME, *save_joining(folder, moves, refused, None)]
     num_dealt = dict(zip(task.devices, task.num_dealt, strict=True))
-    led = lead(folder, group, task, num_dealt, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
+    led = lead(folder, group, task, num_dealt, reporter, make_machine(folder, task, reporter))
     model = edge_of_group(task, led.starts, led.result)
     names = save_edge_model(folder, model, task.upload, reporter.warn)
     _add_figures(folder, led.summary)
@@ -44,7 +44,7 @@ def run_group_edge(folder: Path, task: EdgeTask, group: GroupTraining, reporter:
 def run_group_cloud(folder: Path, task: CloudTask, group: GroupTraining, reporter: EventReporter) -> Sequence[str]:
     """Train the scene with all devices."""
     num_dealt = dict(zip(group.of_devices, task.of_devices or (), strict=True))
-    led = lead(folder, group, task, num_dealt, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
+    led = lead(folder, group, task, num_dealt, reporter, make_machine(folder, task, reporter))
     scene = scene_of_group(group, led.starts, led.result)
     assert scene.splats is not None
     save_ply(folder / "scene.ply", scene.splats)

@@ -28,7 +28,7 @@ whose photographs nobody else has heard of.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,9 +36,9 @@ from radiant_app.events import Decided, Event, Warned
 from radiant_app.reporting import Emit, EventReporter
 from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.redaction import make_redactor
-from radiant_app.workers.renderer import with_renderer_here
 from radiant_app.workers.tasks import TASKS, SfmTask, receive_task
 from radiant_app.workers.training import MASKS, make_machine, remove_checkpoints, save_signed_model, train_from_folder
+from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.io.records import save_scene
 from radiant_core.io.run_store import SEAL_NAME, write_json
@@ -76,10 +76,45 @@ def run_node(kind: str, folder: Path, stage: str, emit: Emit, work: Work | None 
         emit(event)
 
     reporter = EventReporter(stage=stage, emit=emit_and_note)
-    task = with_renderer_here(receive_task(kind, folder), reporter)
+    task = _with_renderer_here(receive_task(kind, folder), reporter)
     outputs = (work or _import_work(kind))(folder, task, reporter)
     write_json(folder / "notes.json", notes)
     return [*outputs, "notes.json"]
+
+
+def _with_renderer_here(task: Any, reporter: EventReporter) -> Any:
+    """The task as it is; for gsplat without a CUDA device, with the CPU's renderer and a decision.
+
+    Raises:
+        BadInput: its machine trains one model with others, whose steps are the same bits.
+    """
+    if getattr(task, "backend", None) != "gsplat":
+        return task
+    from radiant_core.hierarchy.messages import EdgeTask
+    from radiant_core.render.gsplat_backend import missing_for_gsplat
+
+    missing = missing_for_gsplat()
+    if missing is None:
+        return task
+    group = getattr(task, "group", None)
+    if isinstance(task, EdgeTask) and group is not None and group.has_relays:
+        return task  # It has no model.
+    if group is not None or getattr(task, "seat", None) is not None:
+        raise BadInput(
+            f"this machine trains one model with others on CUDA and has {missing}: add --within-edge joined --between-edges joined, "
+            "or leave the machine out of the system file."
+        )
+    reporter.decide(
+        Decision(
+            stage=reporter.stage,
+            topic="renderer",
+            choice="native, on the CPU",
+            figure=None,
+            unit="",
+            reason=f"the run renders on CUDA devices, and this machine has {missing}",
+        )
+    )
+    return replace(task, backend="native")
 
 
 def _import_work(kind: str) -> Work:
@@ -146,7 +181,7 @@ def run_edge(folder: Path, task: EdgeTask, reporter: EventReporter) -> Sequence[
 
     models = receive_device_models(folder, task.devices)
     (folder / CUT_NAME).unlink(missing_ok=True)
-    model = join_edge(task, models, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
+    model = join_edge(task, models, reporter, make_machine(folder, task, reporter))
     names = [
         *save_edge_model(folder, model, task.upload, reporter.warn),
         *save_joining(folder, model.corrections, model.refused, model.uncertainty),
@@ -171,7 +206,7 @@ def run_cloud(folder: Path, task: CloudTask, reporter: EventReporter) -> Sequenc
     models = receive_edge_models(folder, task.edges)
     for name in (CUT_NAME, CUT_SCENE):
         (folder / name).unlink(missing_ok=True)
-    scene = join_cloud(task, models, reporter, make_machine(folder, task.checkpoint_every_s, reporter))
+    scene = join_cloud(task, models, reporter, make_machine(folder, task, reporter))
     names = ["summary.json", *save_joining(folder, scene.corrections, scene.refused, scene.uncertainty)]
     write_json(folder / "summary.json", dict(scene.summary) if scene.splats is not None else {**NOTHING, "num_models": 0})
     if scene.splats is None:

@@ -59,7 +59,7 @@ def run_refine(folder: Path, task: RefineNodeTask, reporter: EventReporter) -> S
     # As in training: what repeats another one or is blurred says nothing.
     _, views, _ = worth_training(placed, views, task.train)
     views = replace(views, cameras=correct_cameras(views.cameras, task.corrections))
-    machine = make_machine(folder, task.checkpoint_every_s, reporter, limited=task.memory_bytes is not None)
+    machine = make_machine(folder, task, reporter, limited=task.memory_bytes is not None)
     refinement = refine_device(task, scene, views, reporter, machine)
     names = _save_and_sign(folder, refinement, scene, task.upload, reporter)
     remove_checkpoints(folder)

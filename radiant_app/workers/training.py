@@ -12,7 +12,7 @@ from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.memory import EDGES_AT_ONCE, available_bytes, base_bytes_in, resident_bytes
 
 if TYPE_CHECKING:
-    from radiant_core.hierarchy.messages import DeviceModel, DeviceTask
+    from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, Training
     from radiant_core.hierarchy.reporter import Machine
 
 CHECKPOINTS = "checkpoints"
@@ -27,7 +27,7 @@ def train_from_folder(folder: Path, task: DeviceTask, images: Path, reporter: Ev
     from radiant_core.hierarchy.device import train_device
     from radiant_core.train.photographs import load_training_views
 
-    machine = make_machine(folder, task.checkpoint_every_s, reporter, limited=task.memory_bytes is not None)
+    machine = make_machine(folder, task, reporter, limited=task.memory_bytes is not None)
     views = load_training_views(images, task.scene.cameras.scaled(task.train.long_side_px), folder / MASKS)
     if task.seat is not None:
         from radiant_app.together.holding import hold
@@ -48,13 +48,13 @@ def save_signed_model(folder: Path, task: DeviceTask, model: DeviceModel, report
     return [*names, *sign_upload(folder)]
 
 
-def make_machine(folder: Path, checkpoint_every_s: float, reporter: EventReporter, *, limited: bool = False) -> Machine:
+def make_machine(folder: Path, task: Training, reporter: EventReporter, *, limited: bool = False) -> Machine:
     """This machine's resources for a node; if `limited`, with the bytes that the process holds."""
     from radiant_core.hierarchy.reporter import Machine
     from radiant_core.train.checkpoint import CheckpointFolder
 
     def checkpoints(key: Callable[[], str]) -> CheckpointFolder:
-        checkpoint_folder = CheckpointFolder(folder / CHECKPOINTS, key(), every_s=checkpoint_every_s, warn=reporter.warn)
+        checkpoint_folder = CheckpointFolder(folder / CHECKPOINTS, key(), every_s=task.checkpoint_every_s, warn=reporter.warn)
         # Checkpoints of an older plan or other settings.
         checkpoint_folder.remove_foreign()
         return checkpoint_folder

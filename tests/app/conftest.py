@@ -9,11 +9,11 @@ import pytest
 from rich.console import Console
 
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.commands.run.steps import sfm
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.pipeline import run
 from radiant_core.hierarchy import refining_plan
 from radiant_core.sfm.config import SfmConfig
 from tests.app.blank_reports import blank_pictures, pictures_of_a_test

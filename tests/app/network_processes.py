@@ -16,16 +16,16 @@ import pytest
 
 from radiant_app.commands.network import node as commands
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import encode
 from radiant_app.executors import local
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.executors.sessions import signal_session
+from radiant_app.network import cloud as far_cloud
 from radiant_app.network import executor as network
 from radiant_app.network import hub
 from radiant_app.network import line as lines
-from radiant_app.run import over_network
-from radiant_app.run.pipeline import run
 from radiant_core.io.run_store import read_json, write_json
 from tests.app import network_worker
 from tests.app.blank_reports import leave_pictures_blank
@@ -176,7 +176,7 @@ def _main(name: str, folder: Path) -> None:
     os.cpu_count = lambda: 1
     hub.POLL_S = 0.1
     leave_pictures_blank(pytest.MonkeyPatch())
-    for module in (local, network, over_network):
+    for module in (local, network, far_cloud):
         vars(module)["worker_command"] = command
     if name in ("cloud", "here"):
         config = config_of(folder, name == "cloud")

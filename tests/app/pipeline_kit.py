@@ -10,9 +10,9 @@ from io import StringIO
 import pytest
 
 from radiant_app.cli import app as cli
+from radiant_app.commands.run.pipeline import RunResult
 from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
 from radiant_app.events import Event
-from radiant_app.run.pipeline import RunResult
 from tests.forked import run_module
 
 Finished = tuple[RunConfig, RunResult, list[Event]]

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from radiant_app.commands.machine.forecast import forecast
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import PlanOptions, RunConfig
 from radiant_app.events import Decided, Event, Warned
 from radiant_app.files.system_file import dump_system, even_system
 from radiant_app.run import few_photographs, pooled
 from radiant_app.run.few_photographs import choose_workforce, num_devices_worth
-from radiant_app.run.pipeline import run
 from radiant_app.run.predictions import planned_training
 from radiant_app.run.this_machine import MACHINE_NAME, MEMORY_SHARE
 from radiant_core.errors import BadInput

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import RunResult, run
 from radiant_app.config.run_config import EvaluateOptions, RunConfig, SfmOptions
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
 from radiant_app.executors.fork_server import SWITCH
 from radiant_app.report.html import REPORT, access_by_tier
 from radiant_app.run.captured import _locate_by_poses
-from radiant_app.run.pipeline import RunResult, run
 from radiant_app.run.progress import Progress
 from radiant_app.workers.field_nodes import _place, _place_once, run_field, run_positions
 from radiant_app.workers.redaction import NOTES_NAME

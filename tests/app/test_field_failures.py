@@ -17,12 +17,12 @@ from rich.console import Console
 from radiant_app.commands.model.extend import ExtendRequest, extend
 from radiant_app.commands.plan.replan import ReplanRequest, replan_files
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Decided, Event, Failed, StageProgress, Warned, encode
 from radiant_app.files.event_file import read_progress
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.captured import Captured, _middle, _warn_of_unplaced
-from radiant_app.run.pipeline import run
 from radiant_app.run.progress import Progress
 from radiant_app.workers.nodes import run_node
 from radiant_app.workers.redaction import HIDDEN, NOTES_NAME, Redactor, make_redactor

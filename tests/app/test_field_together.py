@@ -12,9 +12,9 @@ import pytest
 
 import radiant_app.report.html
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import RunResult, run
 from radiant_app.config.run_config import PlanOptions, RunConfig, SfmOptions
 from radiant_app.events import Event, StageDone, Warned
-from radiant_app.run.pipeline import RunResult, run
 from radiant_app.workers.field_nodes import MADE_FROM
 from radiant_core.io.records import load_splats
 from radiant_viewer.runs.run_view import load_run_view

@@ -16,7 +16,7 @@ from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.reporting import EventReporter
 from radiant_app.workers.delivering import IDENTITY, exchange_keys
 from radiant_app.workers.inbox import receive_device_models, receive_edge_models, save_joining
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import Join
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame
@@ -59,7 +59,7 @@ def read_inbox(
         devices=tuple(senders),
         num_dealt=num_dealt,
         strips=((),) * len(senders),
-        aggregate=AggregateConfig(),
+        join=Join(epochs=5),
     )
     return admit(receive_device_models(folder, task.devices), num_dealt, EventReporter(stage=stage, emit=listen))
 

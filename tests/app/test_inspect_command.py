@@ -25,10 +25,10 @@ from radiant_core.plan.borders.footprints import Optics
 from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.waypoints.reader import read_waypoints
-from radiant_viewer.editing.edited_plan import border_weight_m2
-from radiant_viewer.editing.plan_editor import PlanEditor
-from radiant_viewer.editing.plan_edits import FixWeight, LockRegion, PinCameras
-from radiant_viewer.editing.plan_files import load_other_plan, plan_subject, save_edited_plan
+from radiant_viewer.editing.model.edited_plan import border_weight_m2
+from radiant_viewer.editing.model.plan_edits import FixWeight, LockRegion, PinCameras
+from radiant_viewer.editing.solver.plan_editor import PlanEditor
+from radiant_viewer.editing.store.plan_files import load_other_plan, plan_subject, save_edited_plan
 from radiant_viewer.runs.plan_view import estimate_ground_m, load_plan_view
 from radiant_viewer.window.subject import run_subject
 from tests.app.test_plan_command import grid_csv, make_plan

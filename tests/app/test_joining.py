@@ -12,10 +12,10 @@ from rich.console import Console
 
 from radiant_app.commands.model.aggregate import aggregate
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import AggregateOptions, RunConfig, TrainOptions
 from radiant_app.events import Event, StageDone
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.pipeline import run
 from radiant_app.workers import nodes, training
 from radiant_core.aggregate import join_memory
 from radiant_core.io.ply import load_ply
@@ -41,7 +41,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def config_of(source: Path, out: Path) -> RunConfig:
     # By default the cloud would fit nothing after so short trainings.
-    aggregate = AggregateOptions(settings={"edge_epochs": 2, "cloud_epochs": 2})
+    aggregate = AggregateOptions(settings={"edge.epochs": 2, "cloud.epochs": 2})
     return RunConfig(source=source, out=out, train=TrainOptions(long_side_px=128, num_steps=200), aggregate=aggregate, plan=FOUR)
 
 

@@ -19,15 +19,14 @@ from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.network import executor as network
 from radiant_app.network.contents import check_result, check_scores, open_report, settle_notes
+from radiant_app.network.device import HIDDEN_PLACE, hide_in_event, hide_places
 from radiant_app.network.errands import Errands
 from radiant_app.network.executor import MAX_SAYINGS, admit_event
-from radiant_app.nodes.device import HIDDEN_PLACE, hide_in_event, hide_places
+from radiant_app.network.far_devices import FarDevices
 from radiant_app.report import html
 from radiant_app.reporting import read_notes
-from radiant_app.run.captured import MOST_TIMES, middles_of_raster, place_rasters, weigh_claims
+from radiant_app.run.captured import MOST_TIMES, place_rasters, weigh_claims
 from radiant_app.run.choosing import keep_best
-from radiant_app.run.far_devices import FarDevices
-from radiant_app.run.scoring import combine_scores
 from radiant_app.workers.rasters import MAX_PHOTOGRAPHS, MOST_UNITS, raster_of, raster_problem
 from radiant_app.workers.scores import Claimable, admit_scores, claim_problem, scores_of
 from radiant_core.decisions import Decision
@@ -245,15 +244,14 @@ def test_no_photograph_of_a_device_weighs_more_than_any_of_8_bits() -> None:
     assert said == [("d", "2 of its photographs have more than 60 dB, which no photograph of 8 bits shows: 60 dB count.")]
 
 
-def test_files_of_scores_that_are_none_are_left_out_of_the_figures(tmp_path: Path) -> None:
-    write_json(tmp_path / "cloud.json", {})
-    (tmp_path / "cloud").mkdir()
-    write_json(tmp_path / "cloud" / "summary.json", {"num_splats": 5})
+def test_files_of_scores_that_are_none_are_left_out(tmp_path: Path) -> None:
     for name, (path, value) in {"one": ("borders.0.extra", 1), "two": ("images.0.psnr_db", None)}.items():
         write_json(tmp_path / f"{name}.json", changed(SCORES, path, value))
-    write_json(tmp_path / "honest.json", SCORES)
-    figures = combine_scores(tmp_path, {name: tmp_path / f"{name}.json" for name in ("one", "honest", "two")}, None)
-    assert figures["psnr_db"] == 24.0 and [*figures["scores_left_out"]] == ["one", "two"]
+    write_json(tmp_path / "d.json", SCORES)
+    said: list[tuple[str, str]] = []
+    files = {name: tmp_path / f"{name}.json" for name in ("one", "d", "two")}
+    admitted = admit_scores(files, lambda device: CLAIMABLE, lambda *each: said.append(each))
+    assert [*admitted] == ["d"] and [device for device, _ in said] == ["one", "two"]
 
 
 @pytest.mark.parametrize("text", ["[" * 3000, "{}", '{"versions": {"joined": "20", "cut": [1]}}', '{"versions": 5}', ""])
@@ -329,7 +327,7 @@ def test_a_raster_is_of_the_photographs_that_were_counted() -> None:
 
 
 def places(latitude: float, longitude: float, number: int, altitude_m: float = 500.0) -> Any:
-    return middles_of_raster({**RASTER, "cells": [[latitude, longitude, number]], "altitude_m": altitude_m, "num_photographs": number})
+    return raster_of({**RASTER, "cells": [[latitude, longitude, number]], "altitude_m": altitude_m, "num_photographs": number}).middles
 
 
 @pytest.mark.parametrize("claimed", [1, 100, MAX_PHOTOGRAPHS])

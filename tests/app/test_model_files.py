@@ -29,15 +29,15 @@ from radiant_app.commands.model.given_model import given_model
 from radiant_app.commands.model.render import RenderRequest, render
 from radiant_app.commands.survey.measure import export_measures
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.reporting import EventReporter
-from radiant_core.aggregate.config import AggregateConfig, Refine
+from radiant_core.aggregate.config import Join
+from radiant_core.aggregate.extend import NewRegion, extend_scene
+from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.errors import BadInput
 from radiant_core.export.scene import save_spz
 from radiant_core.export.sog import save_sog
 from radiant_core.frames import Frame
-from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.codec import TASK_NAME, message_record
-from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension
+from radiant_core.hierarchy.messages import CloudTask
 from radiant_core.io.measures_file import load_measures
 from radiant_core.io.model_reader import read_model
 from radiant_core.io.ply import save_ply
@@ -46,6 +46,7 @@ from radiant_core.render.trajectories import Lens, cameras_looking_at
 from radiant_core.splats import Splats
 from radiant_core.survey.map_grid import map_frame_of
 from radiant_core.train.config import TrainConfig
+from radiant_core.train.trainer import FitOptions
 from radiant_viewer.pictures.images import load_image
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.window.subject import load_subject
@@ -113,7 +114,7 @@ def new_run(folder: Path) -> Path:
     """As much of a finished run as `radiant join` looks at before it reads the old scene."""
     shutil.copytree(Path(__file__).parents[2] / "sample_scenes" / "runs" / "tiny", folder)
     (folder / "manifest.json").unlink()
-    rest = {"train": TrainConfig(), "aggregate": AggregateConfig(), "backend": "native"}
+    rest = {"train": TrainConfig(), "join": Join(epochs=5), "backend": "native"}
     task = CloudTask(edges=("east",), num_dealt=(2,), sites=((0.0, 0.0),), weights=(0.0,), **rest)
     (folder / "cloud").mkdir()
     write_json(folder / "cloud" / TASK_NAME, message_record(task))
@@ -206,20 +207,10 @@ def test_a_poisoned_model_gives_a_result_or_one_sentence_and_says_what_it_lost(s
 
 def extended(old: Splats, new: Splats) -> None:
     cameras = cameras_looking_at(np.array([[0.0, -8, 6], [0.0, 8, 6]]), np.zeros((2, 3)), Lens(size_wh=(32, 24)))
-    square = ((-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0))
-    task = CloudTask(
-        edges=("standing", "new"),
-        num_dealt=(0, 2),
-        sites=(),
-        weights=(),
-        train=TrainConfig(),
-        aggregate=AggregateConfig(cloud_epochs=1, refine=Refine(epochs=0)),
-        backend="native",
-        extends=Extension(polygon=square, margin_m=0.3),
-    )
-    models = {"standing": EdgeModel(splats=old), "new": EdgeModel(splats=new, cameras=cameras)}
-    scene = join_cloud(task, models, EventReporter(stage="extend", emit=lambda event: None))
-    assert scene.splats is not None and all(np.isfinite(array).all() for array in scene.splats.arrays().values())
+    region = NewRegion(polygon=np.array([(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)]), margin_m=0.3)
+    addition = Teacher(splats=new, cameras=cameras)
+    scene = extend_scene(old, addition, region, TrainConfig(), Join(epochs=1), FitOptions(backend="native")).splats
+    assert all(np.isfinite(array).all() for array in scene.arrays().values())
 
 
 def test_a_model_without_gaussians_is_one_sentence_everywhere(site: Path, tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from radiant_app.events import Warned, encode
+from radiant_app.network.device import HIDDEN_PLACE, DevicePerformer
 from radiant_app.network.home import accept_invitation, invitation_text, make_home, new_invitation
-from radiant_app.nodes.device import HIDDEN_PLACE, DevicePerformer
 from radiant_core import __version__
 from radiant_core.io.transport.envelope import Envelope
 from tests.app.network_nodes import listening

@@ -144,7 +144,7 @@ def test_the_commands_do_it_and_say_what_comes_next(road: Road, monkeypatch: pyt
     assert "task of devices/d" in say("pack", "d", "--out", disk, "--home", north)
     assert "--offline" in say("unpack", disk, "--home", device)
     (road.folder / "photos").mkdir()
-    monkeypatch.setattr("radiant_app.nodes.device.DevicePerformer", lambda **given: Performer(road.folder))
+    monkeypatch.setattr("radiant_app.network.device.DevicePerformer", lambda **given: Performer(road.folder))
     assert "radiant node pack" in say("work", "--photos", str(road.folder / "photos"), "--offline", "--yes", "--home", device)
     assert "result of devices/d" in say("pack", "--out", disk, "--home", device)
     assert "received" in say("unpack", disk, "--home", north)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from radiant_app.commands.run.pipeline import RunResult, run
 from radiant_app.config.fields import config_of as run_config
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided, Event, Warned
-from radiant_app.run.pipeline import RunResult, run
 from radiant_app.workers.nodes import run_node
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput

@@ -18,11 +18,11 @@ import pytest
 
 from benchmarks.methods.bench import MethodBench, bench_methods
 from benchmarks.methods.cells import ModelCache, run_cell
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import EvaluateOptions, RunConfig
 from radiant_app.events import Decided, Event, StageSkipped, Warned
 from radiant_app.files.event_file import read_progress
 from radiant_app.report.html import TIERS
-from radiant_app.run.pipeline import run
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply, save_ply

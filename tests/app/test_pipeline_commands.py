@@ -15,9 +15,9 @@ from rich.console import Console
 from radiant_app.commands.export.export import export
 from radiant_app.commands.export.request import ExportRequest
 from radiant_app.commands.model.extend import ExtendRequest, extend
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import RunConfig
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.pipeline import run
 from radiant_app.workers.sources import load_scene_of
 from radiant_core.aggregate.extend import NewRegion
 from radiant_core.errors import BadInput

@@ -30,7 +30,7 @@ from radiant_app.run.predictions import planned_training
 from radiant_app.workers.inbox import save_joining
 from radiant_app.workers.nodes import run_node
 from radiant_app.workers.tasks import receive_task
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import EDGE_EPOCHS
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame, Sim3
@@ -173,7 +173,7 @@ def test_edges_are_timed_at_what_a_run_has_them_do(scene: Path, tmp_path: Path, 
     measured = measuring_in(tmp_path, scene).measure(1.0)
     summaries = {path.parent.name: read_json(path) for path in (tmp_path / "edges").glob("*/summary.json")}
     joined = [name for name in summaries if name.split("-")[1] == "2"]
-    assert len(joined) >= 2 and 1 <= measured.num_epochs <= AggregateConfig().at_edge.num_epochs
+    assert len(joined) >= 2 and 1 <= measured.num_epochs <= EDGE_EPOCHS
     for name in joined:
         assert summaries[name]["num_steps"] == measured.num_epochs * int(name.split("-")[0])
     assert all(summary["num_steps"] == 0 for name, summary in summaries.items() if name not in joined)

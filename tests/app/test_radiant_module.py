@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ast
+import doctest
 import inspect
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,7 @@ import torch
 
 import radiant
 from radiant_app.events import Event, StageProgress
+from radiant_app.files.system_file import dump_system
 from radiant_core.train.optimizer import SelectiveAdam
 
 SURFACE = Path(__file__).parent / "radiant_surface.json"
@@ -54,6 +58,52 @@ def test_every_name_is_documented_with_what_it_takes() -> None:
         documented = doc[doc.index("Args:") : doc.index("Returns:")]
         for parameter in inspect.signature(getattr(radiant, name)).parameters:
             assert f"\n    {parameter}: " in documented, f"{name} does not say what {parameter} is"
+
+
+def examples() -> dict[str, list[doctest.Example]]:
+    """Name of the surface → the lines of its example."""
+    docs = {name: inspect.getdoc(getattr(radiant, name)) or "" for name in radiant.__all__}
+    return {name: found for name, doc in docs.items() if (found := doctest.DocTestParser().get_examples(doc))}
+
+
+WITH_EXAMPLE = {name for name in radiant.__all__ if inspect.isfunction(getattr(radiant, name))} | {
+    "Cameras", "Lens", "Part", "RunConfig", "Scene", "SplatTensors", "Splats", "TrainConfig",
+}  # fmt: skip
+
+
+def test_what_users_call_says_when_and_how_in_a_few_lines() -> None:
+    assert examples().keys() == WITH_EXAMPLE
+    for name, lines in examples().items():
+        assert 1 <= len(lines) <= 4, f"the example of {name} has {len(lines)} lines, three are enough"
+        doc = inspect.getdoc(getattr(radiant, name)) or ""
+        assert "Use it" in doc or not inspect.isfunction(getattr(radiant, name)), f"{name} does not say when to use it"
+        for called, node in calls_of(lines):
+            assert called in radiant.__all__, f"the example of {name} calls {called}, which is not promised"
+            given = {each.arg: each.value for each in node.keywords if each.arg}
+            inspect.signature(getattr(radiant, called)).bind_partial(*node.args, **given)
+
+
+def calls_of(lines: list[doctest.Example]) -> Iterator[tuple[str, ast.Call]]:
+    """What an example calls of radiant, as `radiant.train(scene)`."""
+    calls = (node for line in lines for node in ast.walk(ast.parse(line.source)) if isinstance(node, ast.Call))
+    for node in calls:
+        match node.func:
+            case ast.Attribute(value=ast.Name(id="radiant"), attr=name):
+                yield name, node
+
+
+@pytest.mark.parametrize("name", sorted(WITH_EXAMPLE))
+def test_the_example_of_a_docstring_runs(
+    name: str, hamlet_scene: Path, result: radiant.TrainResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "SCENE").symlink_to(hamlet_scene)
+    radiant.save_splats(result.splats, tmp_path / "model.ply")
+    (tmp_path / "system.toml").write_text(dump_system(radiant.even_system(1, 2)))
+    known = {"radiant": radiant, "np": np, "torch": torch, "Path": Path, "replace": replace}
+    test = doctest.DocTest(examples()[name], known, name, None, None, None)
+    said: list[str] = []
+    assert doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(test, out=said.append).failed == 0, "".join(said)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,6 @@ from radiant_app.events import Event, Warned
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.files.run_folder import Manifest
 from radiant_app.reporting import EventReporter
 from radiant_app.run import refining_deadlines
 from radiant_app.run.dealing import Dealer, Refining
@@ -78,9 +77,8 @@ def rounds_of(dealer: Dealer) -> tuple[Tree, ...]:
     return tuple(tree_of(dealer, number) for number in range(1, choose_rounds(dealer.recipe) + 1))
 
 
-def manifest_of(dealer: Dealer, seconds: dict[str, float]) -> Manifest:
-    stages = {stage: {"started_s": 5.0, "ended_s": 5.0 + spent_s} for stage, spent_s in seconds.items()}
-    return Manifest(folder=dealer.run, config={}, stages=stages)
+def times_of(seconds: dict[str, float]) -> dict[str, dict[str, float]]:
+    return {stage: {"started_s": 5.0, "ended_s": 5.0 + spent_s} for stage, spent_s in seconds.items()}
 
 
 def nodes_of(tree: Tree, tier: str) -> list[Tree]:
@@ -91,7 +89,7 @@ def test_refining_is_expected_to_take_as_long_as_its_share_of_what_was_measured(
     devices, edges = nodes_of(tree_of(dealer), "device"), nodes_of(tree_of(dealer), "edge")
     owners = [node.id.removesuffix("/refine") for node in devices]
     seconds = {owners[0]: 26.0, owners[1]: 32.0, "edges/edge-1": 7.0, "cloud": 3.0}
-    expected = expected_times(dealer, tree_of(dealer), manifest_of(dealer, seconds))
+    expected = expected_times(dealer, tree_of(dealer), times_of(seconds))
     epochs = dealer.recipe.refining_epochs
     dealt = [dealer.photographs.num_dealt(Path(owner).name) for owner in owners]
     # 20 of a process's seconds trained, 0.1 s a step on half the scene's Gaussians.
@@ -101,8 +99,8 @@ def test_refining_is_expected_to_take_as_long_as_its_share_of_what_was_measured(
     # Twice the 7 s of joining, and 0.2 s for each photograph that an edge renders; the other edge is as its kind.
     rendered_s = 14 + 0.2 * sum(dealer.photographs.num_dealt(Path(child.id).parent.name) for child in edges[0].children)
     assert [expected[node.id] for node in edges] == pytest.approx([rendered_s] * 2) and expected["cloud/refine"] == 3.0
-    assert expected_times(dealer, tree_of(dealer), manifest_of(dealer, {})) == {}, "what was never measured has no deadline"
-    assert set(expected_times(dealer, tree_of(dealer), manifest_of(dealer, {"cloud": 0.0}))) == set()
+    assert expected_times(dealer, tree_of(dealer), times_of({})) == {}, "what was never measured has no deadline"
+    assert set(expected_times(dealer, tree_of(dealer), times_of({"cloud": 0.0}))) == set()
 
 
 def test_the_rule_is_that_of_trainings(dealer: Dealer) -> None:

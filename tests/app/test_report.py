@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import RunResult, run
 from radiant_app.config.run_config import RunConfig, TrainOptions
 from radiant_app.events import Event, RunLeft, StageDone, StageProgress, StageStarted
 from radiant_app.report.gaps import gaps_of, notes_of
 from radiant_app.report.html import NUM_SIDES, PARTS, REPORT, title_of, with_code
 from radiant_app.report.survey import area_text, length_text, observed_area, sampling_distance, survey_of
-from radiant_app.run.pipeline import RunResult, run
 from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_viewer.pictures.images import load_image

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 import radiant_app.cli.run
 from radiant_app.cli.app import app
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.fields import config_of, tables_of, train_options, values_of, with_settings
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, SfmOptions, TrainOptions
-from radiant_app.run.pipeline import run
 from radiant_core.aggregate.config import Refine
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.paper_config import PaperConfig
@@ -36,7 +36,7 @@ sky = false
 max_epochs = "none"
 density.kind = "mcmc"
 [aggregate]
-cloud_epochs = 2
+cloud.epochs = 2
 [execution]
 checkpoint_every_s = 90
 """
@@ -48,7 +48,7 @@ ASKED: dict[str, Any] = {
     "train": TrainOptions(
         preset="paper", num_steps=300, step_policy="fixed", settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}
     ),
-    "aggregate": AggregateOptions(preset="paper", settings={"cloud_epochs": 2}),
+    "aggregate": AggregateOptions(preset="paper", settings={"cloud.epochs": 2}),
     "execution": ExecutionOptions(checkpoint_every_s=90.0),
 }
 
@@ -79,7 +79,7 @@ def test_a_run_file_options_and_set_start_the_same_run(tmp_path: Path, asked: Ru
     assert started(monkeypatch, run_file(tmp_path)) == asked
     where = (tmp_path / "photos", "--out", tmp_path / "run", "--system", tmp_path / "fleet.toml", "--preset", "paper")
     train_set = ("--set=train.sky=false", "--set=train.max-epochs=none", "--set=train.density.kind=mcmc")
-    only_set = (*train_set, "--set", "aggregate.cloud_epochs=2")
+    only_set = (*train_set, "--set", "aggregate.cloud.epochs=2")
     options = ("--seed", 3, "--plan-method", "even", "--steps", 300, "--checkpoint-every", "1.5m")
     assert started(monkeypatch, *where, *options, *only_set) == asked
     paths = ("seed=3", "plan.method=even", "train.num_steps=300", "execution.checkpoint_every_s=90")
@@ -119,7 +119,9 @@ def test_a_configuration_comes_back_from_its_tables(asked: RunConfig) -> None:
         ('"even"', '"magic"', "plan.method is 'magic'; expected 'exact', 'paper', 'paper-literal' or 'even'"),
         ('system = "fleet.toml"', 'system = ""', "system is ''; string should have at least 1 character"),
         ('source = "photos"', "", "source is missing"),
-        ("cloud_epochs", "refine_epochs", "aggregate.refine_epochs is not a key of a run file: it is refine.epochs now."),
+        ("cloud.epochs", "refine_epochs", "aggregate.refine_epochs is not a key of a run file: it is refine.epochs now."),
+        ("cloud.epochs", "cloud_epochs", "aggregate.cloud_epochs is not a key of a run file: it is aggregate.cloud.epochs now."),
+        ("cloud.epochs = 2", 'cloud = "retrain"', "aggregate.cloud is not a key of a run file: it is aggregate.cloud.method now."),
         ("[train]", "[train", "not a TOML file"),
     ],
 )
@@ -157,6 +159,8 @@ def test_what_is_set_is_a_forced_decision() -> None:
     ("given", "said"),
     [
         (["aggregate.refine_rounds=2"], r"sets nothing: it is refine\.rounds now\.$"),
+        (["aggregate.faint_opacity=0"], r"it is aggregate\.edge\.faint_opacity and aggregate\.cloud\.faint_opacity now\.$"),
+        (["aggregate.cloud.method=retrain"], "'fade', 'paper' or 'crop_merge'"),
         (["refine.epoch=2"], r"did you mean refine\.epochs\?"),
         (["train.colour=red"], "expected PATH=VALUE with one of .*train.sh_degree"),
         (["colour=red"], r"expected PATH=VALUE with one of source, .*train\.…"),
@@ -168,7 +172,7 @@ def test_what_is_set_is_a_forced_decision() -> None:
         (["train.sh_degree=none"], "valid integer"),
         (["train.long_side_px=5"], "greater than or equal to 16"),
         (["train.means_lr=nan"], "finite number"),
-        (["aggregate.agreement_db=inf"], "finite number"),
+        (["aggregate.edge.agreement_db=inf"], "finite number"),
         (["train.seed=5"], r"use seed\.|expected PATH=VALUE"),
         (["train.sky=true", "train.sky=false"], "--set train.sky is given twice: keep one"),
         (["train.num_steps=5"], "--set train.num_steps is given twice, once as --steps: keep one"),
@@ -194,9 +198,9 @@ def test_a_training_takes_no_setting_of_a_run(tmp_path: Path) -> None:
 
 def test_a_value_out_of_range_is_refused_before_the_run_begins() -> None:
     of_no_policy = {"train.density.kind": "mcmc", "train.density.reset_opacity_every": 5}
-    for values in ({"train.start_scale": 2.0}, {"aggregate.edge_epochs": 0}, {"refine.rounds": 0}, of_no_policy):
+    for values in ({"train.start_scale": 2.0}, {"aggregate.edge.epochs": 0}, {"refine.rounds": 0}, of_no_policy):
         with pytest.raises(
-            BadInput, match=r"start_scale is 2|edge_epochs|rounds of refining is 0|reset_opacity_every is no setting of 'mcmc'"
+            BadInput, match=r"start_scale is 2|edge.epochs of joining|rounds of refining is 0|reset_opacity_every is no setting of 'mcmc'"
         ):
             config_of({"source": Path("photos"), "out": Path("run"), **values})
 
@@ -207,7 +211,7 @@ def test_refining_has_a_section_of_its_own_beside_the_preset_of_joining() -> Non
     paper = {**where, "aggregate.preset": "paper"}
     assert not config_of(paper).joining.refine.is_asked_for and config_of({**paper, "refine.epochs": 1}).joining.refine.is_asked_for
     with pytest.raises(BadInput, match="0 epochs at the cloud leave the models to the devices"):
-        config_of({**where, "aggregate.cloud_epochs": 0, "refine.epochs": 0})
+        config_of({**where, "aggregate.cloud.epochs": 0, "refine.epochs": 0})
 
 
 def test_devices_of_a_run_are_planned_for_one_training_each() -> None:

@@ -15,8 +15,9 @@ from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided
 from radiant_app.report.html import describe_unscored
 from radiant_app.reporting import EventReporter
-from radiant_app.run.scoring import Scoring, ScoringMachine, combine_scores
+from radiant_app.run.scoring import Scoring, ScoringMachine, combine_figures
 from radiant_app.workers.evaluation import SCORES_NAME, ScoredImage, png_bytes, run_score
+from radiant_app.workers.scores import read_scores
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, Move, ScoreTask
 from radiant_core.cameras import Cameras
 from radiant_core.choices import LightMode
@@ -97,10 +98,10 @@ def without_names(figures: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_one_machine_with_all_photographs_and_two_devices_in_frames_of_their_own_give_the_same_figures(run: Path) -> None:
-    whole = combine_scores(run, {"evaluation": scored(run, "evaluation", CAMERAS)}, None)
+    whole = combine_figures(run, {"evaluation": read_scores(scored(run, "evaluation", CAMERAS))}, None)
     shares = {"a": (range(5), AWAY), "b": (range(5, 12), STAY)}
     files = {name: scored(run, f"devices/{name}/score", CAMERAS.select(list(rows)), move) for name, (rows, move) in shares.items()}
-    divided = combine_scores(run, files, None)
+    divided = combine_figures(run, {name: read_scores(file) for name, file in files.items()}, None)
     assert whole["seam_excess_db"] is not None and whole["seam_photographs"] == 12 and not whole["seam_found"]
     assert [row["between"] for row in whole["borders"]] == [("0", "1")] and whole["borders"][0]["seam_excess_db"] == whole["seam_excess_db"]
     assert whole["num_gaussians"] == 400 and "leakage" not in whole
@@ -135,7 +136,7 @@ def test_a_machine_without_photographs_adds_nothing_and_alone_has_no_figures(run
     file = scored(run, "evaluation", CAMERAS.select([]))
     assert read_json(file)["images"] == [] and not (file.parent / "renders").exists()
     with pytest.raises(StageFailed, match="no held-out photograph could be scored: the machines that scored have none whose pose is known"):
-        combine_scores(run, {"evaluation": file}, None)
+        combine_figures(run, {"evaluation": read_scores(file)}, None)
 
 
 def test_figures_of_another_scene_are_not_used_where_scoring_anew_fails(run: Path, tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ from radiant_app.workers.tasks import (
     SfmTask,
     receive_task,
 )
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import Join
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3
 from radiant_core.hierarchy.codec import load_task, message_record, save_task
@@ -112,10 +112,10 @@ MESSAGES: dict[str, Any] = {
         devices=("a-1",),
         num_dealt=(2,),
         strips=(((0.0, 1.0), (2.0, 3.0), (4.0, 5.0)),),
-        aggregate=AggregateConfig(),
+        join=Join(epochs=10),
     ),
     "cloud": CloudTask(
-        train=TRAIN, backend="native", edges=("a",), num_dealt=(2,), sites=((0.0, 1.0),), weights=(0.0,), aggregate=AggregateConfig()
+        train=TRAIN, backend="native", edges=("a",), num_dealt=(2,), sites=((0.0, 1.0),), weights=(0.0,), join=Join(epochs=5)
     ),
     "score": ScoreTask(
         corrections=(Move.of(Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))),),

@@ -13,12 +13,12 @@ from scipy.spatial import KDTree
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
+from radiant_app.commands.run.pipeline import RunResult, run
 from radiant_app.config.fields import config_of, with_settings
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, TrainOptions
 from radiant_app.events import Decided, Event, Outlined, Warned
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.run import this_machine
-from radiant_app.run.pipeline import RunResult, run
 from radiant_app.run.predictions import planned_training
 from radiant_app.run.this_machine import (
     MACHINE_NAME,

@@ -18,7 +18,7 @@ from radiant_app.files.system_file import even_system
 from radiant_app.run.dealing import Dealer
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.workers.nodes import run_node
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import AggregateConfig, Join
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.frames import Frame
 from radiant_core.hierarchy.recipe import Recipe
@@ -63,7 +63,7 @@ def dealt(tmp_path_factory: pytest.TempPathFactory) -> Dealer:
         cloud_plan=cloud_plan,
         edge_plans=split_edges(positions, cloud_plan, system),
         train=replace(train_preset("draft"), num_steps=20, long_side_px=64, max_num_splats=300),
-        aggregate=AggregateConfig(cloud_epochs=1),
+        aggregate=AggregateConfig(cloud=Join(epochs=1)),
         backend="native",
     )
     return Dealer(run=folder / "run", recipe=recipe, photographs=photographs)

@@ -6,6 +6,7 @@ By hand, `python tests/architecture/test_names.py [FOLDER ...]` prints the count
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -112,6 +113,31 @@ match value:
     assert sum(Place("file", 1, name).is_bare for name in counted) == len(counted) - 1
     assert Place("file", 1, "_KEPT").is_bare
     assert not Place("file", 1, "kept_rows").is_bare
+
+
+ANSWERS = {
+    "is": r"bool|np\.ndarray|NDArray\[np\.bool_\]|TypeGuard\[.*\]",
+    "has": r"bool|bool \| None",
+    "num": r"int|int \| None|float",
+}
+"""First word of a function's name → what it returns, as docs/glossary.md says of verbs."""
+
+
+def verbs_that_lie(source: str) -> list[str]:
+    """Functions that are called like a question and answer with something else."""
+    lies = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef) and node.returns is not None:
+            pattern, answer = ANSWERS.get(node.name.lstrip("_").partition("_")[0]), ast.unparse(node.returns)
+            if pattern is not None and not re.fullmatch(pattern, answer):
+                lies.append(f"{node.name} answers {answer}")
+    return lies
+
+
+def test_a_function_that_is_called_like_a_question_answers_it() -> None:
+    files = [file for package in PACKAGES for file in (ROOT / package).rglob("*.py")]
+    assert [f"{file.name}: {lie}" for file in files for lie in verbs_that_lie(file.read_text())] == []
+    assert verbs_that_lie("def is_late(): ...\ndef has_it() -> bool: ...\ndef _num_of() -> str: ...") == ["_num_of answers str"]
 
 
 def main() -> None:

@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import ExecutionOptions, RunConfig
 from radiant_app.events import Event, Failed, StageDone, StageProgress, StageSkipped, StageStarted, Warned, encode
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.executors.ray_cluster import RayExecutor, _environment, resource_of
-from radiant_app.run.pipeline import run
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
 

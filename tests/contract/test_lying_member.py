@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import RunResult, run
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_app.events import Event, Warned
 from radiant_app.executors import local
+from radiant_app.network import cloud as far_cloud
 from radiant_app.network import executor as network
 from radiant_app.network import hub
 from radiant_app.network.errands import Errands
-from radiant_app.run import over_network
-from radiant_app.run.pipeline import RunResult, run
 from radiant_app.workers.delivering import deliver
 from radiant_core.io.run_store import read_json, write_json
 from tests.app.network_nodes import nodes_in, split_photographs
@@ -90,7 +90,7 @@ def run_with_a_liar(folder: Path, lie: Callable[[dict[str, Any]], None]) -> tupl
         patch.setattr(hub, "POLL_S", 0.1)
         patch.setattr(Errands, "_poll_body", lying_body)
         patch.setattr(Errands, "_send", lying_send)
-        for module in (local, network, over_network):
+        for module in (local, network, far_cloud):
             patch.setattr(module, "worker_command", command)
         nodes.make({"north": ["honest", "liar"]})
         nodes.start_edge("north")

@@ -16,13 +16,13 @@ import pytest
 from radiant_app.commands.inspect.feeds import feeds_of
 from radiant_app.commands.network import node as commands
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import RunResult, run
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import Event, StageDone, StageProgress
 from radiant_app.executors import local
+from radiant_app.network import cloud as far_cloud
 from radiant_app.network import executor as network
 from radiant_app.network import hub
-from radiant_app.run import over_network
-from radiant_app.run.pipeline import RunResult, run
 from radiant_core.io.records import load_cameras
 from tests.app.network_nodes import Nodes, nodes_in, split_photographs
 from tests.forked_workers import forked_workers
@@ -59,7 +59,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
         nodes_in(folder, command) as nodes,
     ):
         patch.setattr(hub, "POLL_S", 0.1)
-        for module in (local, network, over_network):
+        for module in (local, network, far_cloud):
             patch.setattr(module, "worker_command", command)
         patch.setattr("radiant_app.run.stages.LocalExecutor", lambda **options: local.LocalExecutor(**{**options, "command": command}))
         known = SfmOptions(poses=hamlet / "known")

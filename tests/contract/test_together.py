@@ -19,7 +19,7 @@ from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.executors.ray_cluster import RayExecutor
 from radiant_app.files.system_file import even_system
 from radiant_app.run.groups import end_groups, prepare_meetings, with_groups
-from radiant_core.aggregate.config import AggregateConfig, Refine
+from radiant_core.aggregate.config import AggregateConfig, Join, Refine
 from radiant_core.errors import StageFailed
 from radiant_core.hierarchy.groups import GroupTraining
 from radiant_core.hierarchy.recipe import Recipe
@@ -56,13 +56,13 @@ def overlapping_hamlet(folder: Path) -> World:
 
 def overlapping_ground(folder: Path) -> World:
     """One edge of two devices, which render for the next step while the sum of this one is on its way; 8 bits."""
-    world = ground(folder, even_system(1, 2), AggregateConfig(edge_epochs=1, refine=Refine(epochs=0)))
+    world = ground(folder, even_system(1, 2), AggregateConfig(edge=Join(epochs=1), refine=Refine(epochs=0)))
     return replace(world, recipe=grouped(world.recipe, ("edges/edge-1",), overlaps=True, form="blocks"))
 
 
 def one_edge_of_two(folder: Path) -> World:
     """Two edges, of which one trains a model with its devices; the cloud joins and devices refine."""
-    world = ground(folder, even_system(2, 2), AggregateConfig(cloud_epochs=1, edge_epochs=1, refine=Refine(epochs=1, rounds=1)))
+    world = ground(folder, even_system(2, 2), AggregateConfig(cloud=Join(epochs=1), edge=Join(epochs=1), refine=Refine(epochs=1, rounds=1)))
     return replace(world, recipe=grouped(world.recipe, ("edges/edge-1",)))
 
 
@@ -74,7 +74,7 @@ def masked_hamlet(folder: Path) -> World:
 
 def masked_ground(folder: Path) -> World:
     """One edge of three devices that sums under masks, while they render for the next step."""
-    world = ground(folder, even_system(1, 3), AggregateConfig(edge_epochs=1, refine=Refine(epochs=0)))
+    world = ground(folder, even_system(1, 3), AggregateConfig(edge=Join(epochs=1), refine=Refine(epochs=0)))
     return replace(world, recipe=grouped(world.recipe, ("edges/edge-1",), overlaps=True, masked=True))
 
 

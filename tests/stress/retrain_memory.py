@@ -59,7 +59,7 @@ def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, mem
         reset_peak_bytes()
         teachers = [Teacher(splats=model, cameras=own) for model, own in zip(models, cameras, strict=True)]
         options = FitOptions(scratch=Path(name), statistics_bytes=plan.statistics_bytes)
-        config = Join(num_epochs=1, agreement_db=None)
+        config = Join(epochs=1, agreement_db=None)
         joined = join_models(teachers, train, config, options, claims, plan.num_tiles)
         peak = peak_bytes()
     figures = {"num_tiles": plan.num_tiles, "needed_bytes": plan.needed_bytes, "statistics_bytes": plan.statistics_bytes}

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
-from radiant_app.run.pipeline import run
 
 SIZE = TrainOptions(long_side_px=160, num_steps=100, max_num_splats=1500, step_policy="fixed")
 

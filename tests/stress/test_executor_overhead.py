@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import radiant_app.run.pipeline
+import radiant_app.commands.run.pipeline
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_app.executors.local import LocalExecutor, worker_command
 from radiant_app.executors.protocol import NodeTask
@@ -41,7 +41,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Tree, dict[str, NodeT
     training = TrainOptions(long_side_px=160, num_steps=2000, max_num_splats=3000)
     execution = ExecutionOptions(max_workers=1)
     config = RunConfig(source=folder / "hamlet", out=folder / "run", train=training, execution=execution, plan=FOUR)
-    radiant_app.run.pipeline.run(config)
+    radiant_app.commands.run.pipeline.run(config)
     tree = tree_of_plan(*load_plan(config.out / "plan.json"))
     tasks = {}
     for node in tree:

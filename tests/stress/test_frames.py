@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiant_app.commands.run.demo import demo_config
-from radiant_app.run.pipeline import run
+from radiant_app.commands.run.pipeline import run
 from radiant_core.cameras import Cameras
 from radiant_core.frames import Sim3
 from radiant_core.geometry.frame_refinement import PlacedModel, refine_frames

@@ -13,8 +13,8 @@ import pytest
 from PIL import ExifTags, Image
 
 from radiant_app.commands.run.demo import DEMO_TRAINING, sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import RunConfig
-from radiant_app.run.pipeline import run
 from radiant_core.cameras import Cameras
 from radiant_core.errors import StageFailed
 from radiant_core.frames import Sim3, geodetic_from_enu

@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import radiant_app.commands.run.pipeline
 import radiant_app.report.html
-import radiant_app.run.pipeline
 import radiant_app.run.stages
 from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, TrainOptions
@@ -95,7 +95,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, flo
             seconds[event.stage] = used.ru_utime + used.ru_stime - before_s
             before_s += seconds[event.stage]
 
-    radiant_app.run.pipeline.run(config_of(folder / "whole"), note)
+    radiant_app.commands.run.pipeline.run(config_of(folder / "whole"), note)
     return folder / "whole", seconds
 
 
@@ -163,7 +163,7 @@ def test_fifty_kills_of_a_stage_are_survived_with_the_same_bytes(
             shutil.rmtree(out / node)
         moments = random_moments(1000 * list(AFTER).index(stage) + story, min(KILLS_PER_STORY, NUM_KILLS - num_kills), seconds[stage])
         killer = Killer(stage, out / stage, moments)
-        radiant_app.run.pipeline.run(config_of(out), killer, resume=True)
+        radiant_app.commands.run.pipeline.run(config_of(out), killer, resume=True)
         assert differing_files(undisturbed, out, RESULTS) == [], (stage, story, moments)
         assert not (out / stage / "checkpoints").exists()
         num_kills, story = num_kills + killer.num_kills, story + 1
@@ -217,7 +217,7 @@ def test_the_photographs_of_a_device_that_always_dies_go_to_one_that_has_not_beg
     for node in ("devices", "edges", "cloud"):
         shutil.rmtree(out / node)
     killer = Killer("devices/a-1", out / "devices/a-1", [0.3 * seconds["devices/a-1"]] * radiant_app.run.stages.ATTEMPTS)
-    result = radiant_app.run.pipeline.run(config_of(out), killer, resume=True)
+    result = radiant_app.commands.run.pipeline.run(config_of(out), killer, resume=True)
     manifest = read_json(out / "manifest.json")
     (decision,) = (row for row in manifest["decisions"] if row["topic"] == "lost device")
     _, before = load_plan(undisturbed / "plan.json")
@@ -232,5 +232,5 @@ def test_the_photographs_of_a_device_that_always_dies_go_to_one_that_has_not_beg
         if isinstance(event, StageStarted):
             begun.append(event.stage)
 
-    radiant_app.run.pipeline.run(config_of(out), note, resume=True)
+    radiant_app.commands.run.pipeline.run(config_of(out), note, resume=True)
     assert begun == [], "what others trained in its place is not trained again"

@@ -10,12 +10,12 @@ import pytest
 from rich.console import Console
 
 from radiant_app.commands.model.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.run.pipeline import RunResult, run
 from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Event, StageSkipped
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.dealing import count_received
-from radiant_app.run.pipeline import RunResult, run
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.masks import mask_name, save_mask
 from radiant_core.io.run_store import read_json

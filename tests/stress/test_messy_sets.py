@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import RunConfig, TrainOptions
 from radiant_app.events import Event, Warned
-from radiant_app.run.pipeline import run
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_scene
 

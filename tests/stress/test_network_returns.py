@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import ExecutionOptions, RunConfig, SfmOptions
 from radiant_app.events import Event, StageDone
 from radiant_app.executors import local
+from radiant_app.network import cloud as far_cloud
 from radiant_app.network import executor as network
 from radiant_app.network import hub
-from radiant_app.run import over_network
-from radiant_app.run.pipeline import run
 from tests.app.network_nodes import nodes_in, split_photographs
 from tests.app.network_worker import command
 from tests.contract.test_network import TINY
@@ -32,7 +32,7 @@ def test_a_device_that_comes_back_takes_part_when_the_run_goes_on(tmp_path: Path
     (tmp_path / "system.toml").write_text('[[edge]]\nid = "north"\n' + "".join(f'[[edge.device]]\nid = "{each}"\n' for each in DEVICES))
     monkeypatch.setattr(hub, "POLL_S", 0.1)
     monkeypatch.setattr(network, "ALIVE_S", 0.5)
-    for module in (local, network, over_network):
+    for module in (local, network, far_cloud):
         monkeypatch.setattr(module, "worker_command", command)
     monkeypatch.setattr("radiant_app.run.stages.LocalExecutor", lambda **options: local.LocalExecutor(**{**options, "command": command}))
     config = RunConfig(source=source, frames="known", system=tmp_path / "system.toml", out=tmp_path / "here", train=TINY)

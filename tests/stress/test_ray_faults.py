@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
+import radiant_app.commands.run.pipeline
 import radiant_app.report.html
-import radiant_app.run.pipeline
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event, StageDone, StageProgress, StageStarted, Warned
 from radiant_core.errors import StageFailed
@@ -36,7 +36,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ray")
     hamlet_in(folder)
     (folder / "system.toml").write_text(SYSTEM)
-    radiant_app.run.pipeline.run(config_of(folder / "whole"))
+    radiant_app.commands.run.pipeline.run(config_of(folder / "whole"))
     return folder / "whole"
 
 
@@ -97,7 +97,7 @@ def test_a_killed_worker_of_ray_is_started_again(whole: Path, cluster: Cluster) 
         os.kill(int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1]), signal.SIGKILL)
 
     witness = Witness("devices/b-1", kill_parent)
-    radiant_app.run.pipeline.run(config, witness, resume=True)
+    radiant_app.commands.run.pipeline.run(config, witness, resume=True)
     assert witness.acted and any("Ray's worker is gone" in message for message in witness.warnings)
     assert differing_files(whole, config.out, RESULTS) == [] and witness.trained_twice() == []
 
@@ -106,7 +106,7 @@ def test_a_node_whose_machine_dies_goes_on_elsewhere(whole: Path, cluster: Clust
     config = on_ray(whole, "machine", cluster)
     witness = Witness("devices/b-1", lambda: cluster.kill("one"))
     begun_s = time.monotonic()
-    radiant_app.run.pipeline.run(config, witness, resume=True)
+    radiant_app.commands.run.pipeline.run(config, witness, resume=True)
     assert witness.acted and any(message.startswith("devices/b-1") and "is gone" in message for message in witness.warnings)
     assert differing_files(whole, config.out, RESULTS) == [] and witness.trained_twice() == []
     print(f"finished {time.monotonic() - begun_s:.0f} s after its start")
@@ -116,9 +116,11 @@ def test_a_run_whose_cluster_loses_its_head_says_so_and_resumes_on_another(whole
     config = on_ray(whole, "head", cluster)
     witness = Witness("devices/b-1", lambda: cluster.kill("head"))
     with pytest.raises(StageFailed, match=r"the connection to the Ray cluster at .* is lost.* --resume"):
-        radiant_app.run.pipeline.run(config, witness, resume=True)
+        radiant_app.commands.run.pipeline.run(config, witness, resume=True)
     cluster.kill("one")
     with ray_cluster() as other:
         other.start("head", num_cpus=1)
-        radiant_app.run.pipeline.run(replace(config, execution=replace(config.execution, address=other.address)), witness, resume=True)
+        radiant_app.commands.run.pipeline.run(
+            replace(config, execution=replace(config.execution, address=other.address)), witness, resume=True
+        )
     assert differing_files(whole, config.out, RESULTS) == [] and witness.trained_twice() == []

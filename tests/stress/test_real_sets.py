@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import PlanOptions, RunConfig, TrainOptions
-from radiant_app.run.pipeline import run
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from radiant_app.commands.run.demo import sample_scenes_folder
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, RunConfig, TrainOptions
-from radiant_app.run.pipeline import run
 
 pytestmark = pytest.mark.stress
 
@@ -50,7 +50,7 @@ def test_every_worker_keeps_to_its_limit(cloud_gb: float, fits: bool, tmp_path: 
         out=tmp_path / "run",
         system=tmp_path / "system.toml",
         train=training,
-        aggregate=AggregateOptions(settings={"edge_epochs": 2, "cloud_epochs": 2}),
+        aggregate=AggregateOptions(settings={"edge.epochs": 2, "cloud.epochs": 2}),
         execution=execution,
     )
     result = run(config)

@@ -26,8 +26,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import radiant_app.commands.run.pipeline
 import radiant_app.report.html
-import radiant_app.run.pipeline
 from radiant_app.config.run_config import ExecutionOptions, PlanOptions, RunConfig, TrainOptions
 from radiant_app.events import Event, StageDone, StageProgress, StageStarted, Warned
 from radiant_core.io.run_store import read_json
@@ -66,7 +66,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, flo
         if isinstance(event, StageDone):
             seconds[event.stage] = event.seconds
 
-    radiant_app.run.pipeline.run(config_of(folder / "whole"), note)
+    radiant_app.commands.run.pipeline.run(config_of(folder / "whole"), note)
     return folder / "whole", seconds
 
 
@@ -124,7 +124,7 @@ def run_with_kill(undisturbed: Path, number: int, member: str, moment: float, la
         out = unfinished_copy(undisturbed, f"member-{number}")
         at_step, after_s = int(moment * NUM_STEPS), None if number % 2 else moment * lasts_s
         once = Once(out, member, kill, at_step=at_step, after_s=after_s)
-        radiant_app.run.pipeline.run(config_of(out), once, resume=True)
+        radiant_app.commands.run.pipeline.run(config_of(out), once, resume=True)
         if once.has_acted:
             return out, once, f"at step {at_step}" if after_s is None else f"after {after_s:.1f} s"
         assert differing_files(undisturbed, out, RESULTS) == [] and moment > 0.01
@@ -169,7 +169,7 @@ def test_a_device_that_stands_still_for_some_seconds_goes_on_with_the_same_bytes
         threading.Timer(STOPPED_S, go_on).start()
 
     once = Once(out, "devices/edge-2-1", stop, at_step=40)
-    radiant_app.run.pipeline.run(config_of(out), once, resume=True)
+    radiant_app.commands.run.pipeline.run(config_of(out), once, resume=True)
     assert once.has_acted and went_on_s, "the others waited for it"
     assert differing_files(undisturbed, out, RESULTS) == []
     assert not any("lost" in message for message in once.warnings), once.warnings

@@ -21,7 +21,7 @@ from radiant_app.commands.inspect.window import run_setting
 from radiant_app.commands.inspect.feeds import feeds_of
 from radiant_core.io.run_store import RunLock, write_json
 from radiant_viewer.window.inspector import open_window
-from radiant_viewer.editing.plan_edits import LockRegion, MoveEdge
+from radiant_viewer.editing.model.plan_edits import LockRegion, MoveEdge
 from radiant_viewer.window.subject import load_subject
 from radiant_viewer.window.window import InspectorWindow
 

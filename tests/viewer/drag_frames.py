@@ -29,7 +29,7 @@ from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
-from radiant_viewer.editing.edited_plan import EditedPlan
+from radiant_viewer.editing.model.edited_plan import EditedPlan
 from radiant_viewer.window.window import InspectorWindow
 from tests.viewer.made_up_run import made_up_town, save_run
 from tests.viewer.window_user import LEFT, PATIENCE_S, pixel, use_window

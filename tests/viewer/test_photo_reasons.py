@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.editing.plan_files import plan_subject, save_plan_geojson
+from radiant_viewer.editing.store.plan_files import plan_subject, save_plan_geojson
 from radiant_viewer.runs.photo_reasons import reason_text, tilts_deg
 from radiant_viewer.runs.run_view import load_run_view
 from tests.viewer.made_up_run import made_up_town, save_run

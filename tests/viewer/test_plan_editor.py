@@ -17,11 +17,9 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
-from radiant_viewer.editing.edit_log import EditHistory, edit_record, load_edits, parse_edit, plan_key, save_edits
-from radiant_viewer.editing.edited_plan import PlanSubject, border_weight_m2
-from radiant_viewer.editing.plan_difference import plan_difference
-from radiant_viewer.editing.plan_editor import PlanEditor
-from radiant_viewer.editing.plan_edits import (
+from radiant_viewer.editing.model.edited_plan import PlanSubject, border_weight_m2
+from radiant_viewer.editing.model.plan_difference import plan_difference
+from radiant_viewer.editing.model.plan_edits import (
     AddDevice,
     AddEdge,
     AdoptPlan,
@@ -37,7 +35,9 @@ from radiant_viewer.editing.plan_edits import (
     SetSlack,
     apply_edit,
 )
-from radiant_viewer.editing.plan_files import PlanSetting, load_other_plan, save_edited_plan
+from radiant_viewer.editing.solver.plan_editor import PlanEditor
+from radiant_viewer.editing.store.edit_file import EditHistory, edit_record, load_edits, parse_edit, plan_key, save_edits
+from radiant_viewer.editing.store.plan_files import PlanSetting, load_other_plan, save_edited_plan
 
 Plan = tuple[CloudPlan, tuple[EdgePlan, ...]]
 UTM = (5.0e5, 5.2e6)

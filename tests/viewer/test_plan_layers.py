@@ -12,7 +12,7 @@ from shapely.geometry import box as shapely_box
 from radiant_core.errors import BadInput
 from radiant_core.plan.borders.footprints import Footprints, ground_footprints, views_of_cameras
 from radiant_core.plan.regions.constraints import PlanConstraints
-from radiant_viewer.editing.plan_report import certificate_text, headline, load_rows
+from radiant_viewer.editing.model.plan_report import certificate_text, headline, load_rows
 from radiant_viewer.layers.camera_roles import camera_roles
 from radiant_viewer.layers.change_layer import changed_layer, constraint_layer, selection_layer
 from radiant_viewer.layers.footprint_layer import footprint_layer, overlap_counts, overlap_layer

@@ -9,9 +9,9 @@ import pytest
 
 from radiant_core.plan.borders.borders import shared_borders
 from radiant_core.plan.regions.constraints import PlanConstraints
-from radiant_viewer.editing.plan_editor import PlanEditor
-from radiant_viewer.editing.plan_edits import FixWeight, MoveEdge, PinCameras
-from radiant_viewer.editing.plan_files import plan_subject
+from radiant_viewer.editing.model.plan_edits import FixWeight, MoveEdge, PinCameras
+from radiant_viewer.editing.solver.plan_editor import PlanEditor
+from radiant_viewer.editing.store.plan_files import plan_subject
 from radiant_viewer.runs.run_view import load_run_view
 from tests.viewer.made_up_run import made_up_town, save_run
 from tests.viewer.test_plan_editor import editor_of
@@ -27,8 +27,8 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 from radiant_app.commands.inspect.window import run_setting
 from radiant_core.plan.borders.borders import shared_borders
-from radiant_viewer.editing import plan_session
-from radiant_viewer.editing.plan_edits import FixWeight, MoveEdge
+from radiant_viewer.editing.solver import plan_session
+from radiant_viewer.editing.model.plan_edits import FixWeight, MoveEdge
 from radiant_viewer.window.inspector import open_window
 from radiant_viewer.window.window import InspectorWindow
 
@@ -155,7 +155,7 @@ def test_the_window_drags_pins_undoes_saves_and_loses_nothing(
 
 def test_a_press_finds_edges_then_borders_and_never_a_locked_rim() -> None:
     pytest.importorskip("PySide6", reason="the extra 'desktop' is not installed")
-    from radiant_viewer.editing.map_tools import BorderGrip, EdgeGrip, grip_at
+    from radiant_viewer.editing.tools.map_tools import BorderGrip, EdgeGrip, grip_at
 
     cloud = editor_of(num_edges=4).state.cloud
     borders = shared_borders(cloud)

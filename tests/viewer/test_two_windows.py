@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from radiant_viewer.editing.edit_log import load_edits, plan_key
-from radiant_viewer.editing.plan_editor import PlanEditor
-from radiant_viewer.editing.plan_edits import Edit, LockRegion, MoveEdge, PinCameras
+from radiant_viewer.editing.model.plan_edits import Edit, LockRegion, MoveEdge, PinCameras
+from radiant_viewer.editing.solver.plan_editor import PlanEditor
+from radiant_viewer.editing.store.edit_file import load_edits, plan_key
 from tests.viewer.test_plan_editor import editor_of
 from tests.viewer.window_kit import run_python
 

@@ -92,10 +92,6 @@ class Extended:
     num_shown: int
     """Views that the margin was fitted to; 0 where it was only cut."""
 
-    def counts(self) -> dict[str, int]:
-        """How many Gaussians came from where and how many views were shown, by field."""
-        return {name: count for name, count in vars(self).items() if name != "splats"}
-
 
 def extend_scene(scene: Splats, addition: Teacher, region: NewRegion, train: TrainConfig, join: Join, options: FitOptions) -> Extended:
     """`scene` with the new model `addition` in `region`, both in one frame; only what lies within

@@ -113,7 +113,7 @@ def join_models(
         raise BadInput("no models to join: give at least one, with the cameras it is asked at.")
     if len(teachers) == 1 and not join.retrain_single:
         return Joined(trained=as_result(teachers[0].splats), num_given=len(teachers[0].splats))
-    if join.preset == "paper":
+    if join.method == "paper":
         return _retrain_as_in_the_paper(teachers, train, join, options)
     return _join(teachers, train, join, options, claims, num_tiles)
 
@@ -168,7 +168,7 @@ def _join(
     )
     if not cut.num_shown:
         return cut
-    if not join.num_epochs:
+    if join.epochs == 0:
         # The cut is for the case that nobody refines it.
         return replace(cut, trained=as_result(merged), cut=cut.splats)
     touched_teachers = [

@@ -70,12 +70,9 @@ def retrain(
 
 
 def retraining_config(train: TrainConfig, join: Join, merged: Splats, num_views: int) -> TrainConfig:
-    """A device's settings for the cloud's epochs over so many synthetic views: nothing is
+    """A device's settings for a join over so many synthetic views: nothing is
     added or grown, and rates fall as joining has it, not as a device's. `paper`
     retrains at the rates of 3DGS, however its devices were trained."""
-    num_steps = join.num_epochs * num_views
-    if join.max_num_steps is not None:
-        num_steps = min(num_steps, join.max_num_steps)
     still = {
         "sh_degree_every": 0,
         "density": NoDensification(),
@@ -84,5 +81,5 @@ def retraining_config(train: TrainConfig, join: Join, merged: Splats, num_views:
         "drop_gaussians": "none",
         "settle_epochs": None,
     }
-    rates = {name: getattr(train_preset("paper"), name) for name in RATES} if join.preset == "paper" else {}
-    return replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, **still, **rates)
+    rates = {name: getattr(train_preset("paper"), name) for name in RATES} if join.method == "paper" else {}
+    return replace(train, num_steps=join.num_steps(num_views), sh_degree=merged.sh_degree, **still, **rates)

@@ -5,7 +5,6 @@ admit ─→ retrain     all models together, on what each shows at its edge's v
       ├→ cut         at the borders of the regions, where memory, time or a count of cameras forbid
       │              that; a warning says so
       └→ crop-merge  where the settings ask for it, or the paper's preset meets its limits
-extend               where the task names a region of the second edge, which joins the first
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ import numpy as np
 
 from radiant_core.aggregate.averaging import average_bytes
 from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs
+from radiant_core.aggregate.config import CLOUD_EPOCHS
 from radiant_core.aggregate.crop_merge import crop_merge
-from radiant_core.aggregate.extend import NewRegion, extend_scene
 from radiant_core.aggregate.join import Joined, cut_at_borders, join_models
 from radiant_core.aggregate.join_memory import JoinMemory, plan_join_memory
 from radiant_core.aggregate.synthetic_views import Teacher
@@ -27,7 +26,7 @@ from radiant_core.hierarchy.decisions import join_decisions
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.join_limits import CUT_AT_CLOUD_COSTS, JoinLimit, limit_of_machine, report_join_memory, ways_to_lift
 from radiant_core.hierarchy.joining import Arrivals, admit, join_key
-from radiant_core.hierarchy.messages import ONLY_FADED, CloudTask, EdgeModel, Extension, SceneModel
+from radiant_core.hierarchy.messages import ONLY_FADED, CloudTask, EdgeModel, SceneModel
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
 from radiant_core.plan.regions.claims import Claims, claims_of_cells
 from radiant_core.plan.system import Cloud
@@ -49,8 +48,6 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
     Returns:
         The scene, or one without Gaussians where every edge was refused.
     """
-    if task.extends is not None:
-        return _extend(task, models, task.extends, reporter, machine)
     arrivals = admit(models, task.num_dealt, reporter, task.backend)
     arrival_fields = {"corrections": arrivals.corrections, "refused": arrivals.refused, "uncertainty": arrivals.uncertainty}
     if not arrivals.models:
@@ -58,13 +55,13 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
     rows = [task.edges.index(name) for name in arrivals.senders]
     sites, weights = np.array(task.sites)[rows], np.array(task.weights)[rows]
     cut_for_memory = False
-    if task.aggregate.cloud == "retrain":
-        if not task.aggregate.at_cloud.num_epochs and not _can_average(task, arrivals):
+    if task.join.method != "crop_merge":
+        if task.join.epochs == 0 and not _can_average(task, arrivals):
             # Nobody is going to refine what would only fade.
-            task = replace(task, aggregate=replace(task.aggregate, cloud_epochs=None))
-        choice = _choose(task, arrivals, rows, reporter, machine) if task.aggregate.at_cloud.num_epochs else _FADES
+            task = replace(task, join=replace(task.join, epochs=CLOUD_EPOCHS))
+        choice = _FADES if task.join.epochs == 0 else _choose(task, arrivals, rows, reporter, machine)
         cut_for_memory = choice.cut_for_memory
-        if choice.retrains or task.aggregate.preset != "paper":
+        if choice.retrains or task.join.method != "paper":
             options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
             teachers = [Teacher(splats=model, cameras=cameras) for model, cameras in zip(arrivals.models, arrivals.cameras, strict=True)]
             joined = _join(task, teachers, claims_of_cells(sites, weights), options, choice, reporter)
@@ -73,25 +70,6 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
     merged = crop_merge(arrivals.models, sites, weights)
     counts = {"num_splats": len(merged), "num_dropped": sum(map(len, arrivals.models)) - len(merged)}
     return SceneModel(splats=merged, summary=counts, cut_for_memory=cut_for_memory, **arrival_fields)
-
-
-def _extend(
-    task: CloudTask, models: Mapping[str, EdgeModel | str], extension: Extension, reporter: Reporter, machine: Machine
-) -> SceneModel:
-    """The first edge's scene with the second one's model in its region.
-
-    Neither is admitted: both are finished scenes, whose parts were admitted when they were joined,
-    and the first keeps its place, its colours and what contradicts the second.
-    """
-    standing, new = (models[name] for name in task.edges)
-    if isinstance(standing, str) or isinstance(new, str):
-        return SceneModel(splats=None, refused={name: model for name, model in models.items() if isinstance(model, str)})
-    assert standing.splats is not None and new.splats is not None
-    region = NewRegion(polygon=np.array(extension.polygon), margin_m=extension.margin_m)
-    addition = Teacher(splats=new.splats, cameras=new.cameras)
-    options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
-    extended = extend_scene(standing.splats, addition, region, task.train, task.aggregate.at_cloud, options)
-    return SceneModel(splats=extended.splats, summary={"num_splats": len(extended.splats), **extended.counts()})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +102,7 @@ def _choose(task: CloudTask, arrivals: Arrivals, rows: Sequence[int], reporter: 
         memory_limit = limit_of_machine(machine)
         if np.isfinite(memory_limit.num_bytes):
             limits, memory_of = replace(cloud, memory_bytes=memory_limit.num_bytes), f"{memory_limit.label}, a limit"
-    memory = plan_join_memory(arrivals.models, arrivals.cameras, task.train.long_side_px, memory_limit.num_bytes, task.aggregate.most_tiles)
+    memory = plan_join_memory(arrivals.models, arrivals.cameras, task.train.long_side_px, memory_limit.num_bytes, task.join.most_tiles)
     needs = cloud_needs(arrivals.models, arrivals.cameras, memory, times_s)
     retrains, decision = choose_at_cloud(needs, limits, reporter.stage, memory_of=memory_of)
     reporter.decide(decision)
@@ -147,7 +125,7 @@ def _join(
     if not choice.retrains:
         return cut_at_borders(teachers, claims)
     options = replace(options, statistics_bytes=choice.memory.statistics_bytes)
-    joined = join_models(teachers, task.train, task.aggregate.at_cloud, options, claims, choice.memory.num_tiles)
-    for decision in join_decisions(reporter.stage, task.aggregate.at_cloud, len(teachers), joined):
+    joined = join_models(teachers, task.train, task.join, options, claims, choice.memory.num_tiles)
+    for decision in join_decisions(reporter.stage, task.join, len(teachers), joined):
         reporter.decide(decision)
     return joined

@@ -41,19 +41,19 @@ def step_decision(recipe: Recipe) -> Decision | None:
 def joining_decision(recipe: Recipe) -> Decision | None:
     """In how many epochs tiers join, where devices refine what was joined; None where no model is
     joined or nothing is refined."""
-    aggregate, joining, trainings = recipe.aggregate, recipe.joining, recipe.trainings
+    aggregate, trainings = recipe.aggregate, recipe.trainings
     if not aggregate.refine.is_asked_for or trainings.num_devices < 2 or "cloud" in recipe.groups:
         return None
-    case = trainings.joining
+    case, (at_edge, at_cloud) = trainings.joining, aggregate.epochs_after(trainings)
     return Decision(
         stage="edges",
         topic="epochs of joining",
-        choice=f"{joining.at_edge.num_epochs} at edges, {joining.at_cloud.num_epochs} at the cloud",
+        choice=f"{at_edge} at edges, {at_cloud} at the cloud",
         figure=trainings.photograph_shows,
         unit=f"times a training of {trainings.num_steps:,.0f} steps shows each photograph",
-        reason=case.reason if aggregate.cloud_epochs is None or aggregate.edge_epochs is None else "asked for",
+        reason=case.reason if None in (aggregate.edge.epochs, aggregate.cloud.epochs) else "asked for",
         row=case.row,
-        forced=aggregate.cloud_epochs is not None or aggregate.edge_epochs is not None,
+        forced=(aggregate.edge.epochs, aggregate.cloud.epochs) != (None, None),
     )
 
 
@@ -168,13 +168,13 @@ def join_decisions(stage: str, join: Join, num_models: int, joined: Joined) -> l
     """What was retrained of the joined models and what was skipped, with the deciding figures."""
 
     def decided(choice: str, figure: float, unit: str, reason: str) -> Decision:
-        forced = join.preset == "paper"
+        forced = join.method == "paper"
         return Decision(stage=stage, topic="retraining", choice=choice, figure=figure, unit=unit, reason=reason, forced=forced)
 
     steps = joined.trained.num_steps
     if num_models == 1 and not steps:
         return [decided("skipped", 1.0, "models", "a single model would only learn from its own pictures")]
-    if join.preset == "paper":
+    if join.method == "paper":
         return [decided(f"{steps:,} steps on all Gaussians and whole pictures", float(steps), "steps", BY_PRESET)]
     exposures = [] if joined.balance is None else [exposures_decision(stage, joined.balance)]
     checks = [] if joined.check is None else [check_decision(stage, joined.check)]

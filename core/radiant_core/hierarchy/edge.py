@@ -58,7 +58,7 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
     # which is whose.
     splats = joined.trained.splats.select(morton_order(joined.trained.splats.means))
     cameras = NO_CAMERAS
-    if task.aggregate.cloud == "retrain" or arrivals.uncertainty is not None:
+    if task.draws_cameras or arrivals.uncertainty is not None:
         cameras = virtual_cameras_of(models, arrivals.cameras, splats)
     return EdgeModel(
         splats=splats,
@@ -88,13 +88,13 @@ def _join(
     claims, num_tiles = claims_of_polygons(strips), 1
     if len(teachers) > 1:
         models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]
-        memory = plan_join_memory(models, cameras, task.train.long_side_px, limit.num_bytes, task.aggregate.most_tiles)
+        memory = plan_join_memory(models, cameras, task.train.long_side_px, limit.num_bytes, task.join.most_tiles)
         report_join_memory(memory, limit, CUT_AT_EDGE_COSTS, reporter)
         if not memory.fits:
             return cut_at_borders(teachers, claims), False
         num_tiles, options = memory.num_tiles, replace(options, statistics_bytes=memory.statistics_bytes)
-    joined = join_models(teachers, task.train, task.aggregate.at_edge, options, claims, num_tiles)
-    for decision in join_decisions(reporter.stage, task.aggregate.at_edge, len(teachers), joined):
+    joined = join_models(teachers, task.train, task.join, options, claims, num_tiles)
+    for decision in join_decisions(reporter.stage, task.join, len(teachers), joined):
         reporter.decide(decision)
     return joined, True
 

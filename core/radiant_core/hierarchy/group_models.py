@@ -49,7 +49,7 @@ def edge_of_group(task: EdgeTask, starts: Mapping[str, ShareStart], result: Trai
     # Along a Z curve, as of a joined model.
     splats = result.splats.select(morton_order(result.splats.means))
     begun = {device: starts[device] for device in task.devices if device in starts}
-    cameras = _virtual_cameras(begun, splats) if task.aggregate.cloud == "retrain" else NO_CAMERAS
+    cameras = _virtual_cameras(begun, splats) if task.draws_cameras else NO_CAMERAS
     return EdgeModel(
         splats=splats,
         cameras=cameras,

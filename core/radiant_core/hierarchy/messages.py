@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import Join
 from radiant_core.cameras import NO_CAMERAS, Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import FrameUncertainty, Sim3
@@ -28,7 +28,7 @@ from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.system import Cloud
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
-from radiant_core.train.config import TrainConfig
+from radiant_core.train.config import CHECKPOINT_EVERY_S, TrainConfig
 
 Renderer = Literal["gsplat", "native", "reference"]
 """A backend of `radiant_core.render`; "auto" is resolved before a task is written."""
@@ -39,8 +39,6 @@ Pair = tuple[float, float]
 
 UNKEYED: Mapping[str, Any] = {"keyed": False}
 LOCAL: Mapping[str, Any] = {"local": True}
-CHECKPOINT_EVERY_S = 10.0
-"""Seconds between two checkpoints of a training, unless a run says otherwise."""
 
 
 def in_file(name: str) -> Mapping[str, Any]:
@@ -107,7 +105,9 @@ class EdgeTask(Training):
     num_dealt: tuple[Count, ...]
     """Photographs dealt to each device: it may send at most as many cameras."""
     strips: tuple[tuple[Pair, ...], ...]
-    aggregate: AggregateConfig
+    join: Join
+    draws_cameras: bool = True
+    """Whether the cloud asks for virtual cameras, at which it renders the edge's model."""
     upload: UploadFormat = "float32"
     memory_bytes: Positive | None = None
     group: GroupTraining | None = None
@@ -116,6 +116,7 @@ class EdgeTask(Training):
     def __post_init__(self) -> None:
         if not len(self.devices) == len(self.num_dealt) == len(self.strips):
             raise BadInput(f"an edge task has {len(self.devices)} devices, {len(self.num_dealt)} counts and {len(self.strips)} strips.")
+        _require_epochs(self.join)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,45 +140,33 @@ class EdgeModel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Extension:
-    """The region of the second of two edges, which joins the first one's standing scene."""
-
-    polygon: tuple[Pair, ...]
-    """Corners, m."""
-    margin_m: Positive
-    """Beyond so many metres outside of the polygon the standing scene keeps its bits."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class CloudTask(Training):
-    """Join the models of `edges`, whose regions are the power cells of `sites` with `weights`, or
-    extend the first one's by the second one's."""
+    """Join the models of `edges`, whose regions are the power cells of `sites` with `weights`."""
 
     edges: Annotated[tuple[Id, ...], Field(min_length=1)]
     num_dealt: tuple[Count, ...]
     """Photographs dealt below each edge: it may send at most as many virtual cameras."""
     sites: tuple[Pair, ...]
     weights: tuple[float, ...]
-    aggregate: AggregateConfig
+    join: Join
     limits: Cloud | None = None
     edge_times_s: tuple[float, ...] | None = None
     """Seconds that each edge took to join; only where the cloud's time is limited."""
-    extends: Extension | None = None
-    """None: the edges' models are joined as equals; else there are no cells."""
     group: GroupTraining | None = None
     """All devices train as one model; None: models are joined."""
     of_devices: tuple[Count, ...] | None = None
     """Photographs dealt to each device of the group, in its order; None without one."""
 
     def __post_init__(self) -> None:
-        cells = {len(self.sites), len(self.weights)}
-        if self.extends is not None:
-            if len(self.edges) != 2 or cells != {0}:
-                raise BadInput(f"a task of {len(self.edges)} edges and {max(cells)} cells extends a scene: give two edges and no cells.")
-            cells = set()
-        lengths = {len(self.edges), len(self.num_dealt), len(self.edge_times_s or self.edges), *cells}
+        lengths = {len(self.edges), len(self.num_dealt), len(self.edge_times_s or self.edges), len(self.sites), len(self.weights)}
         if len(lengths) != 1:
             raise BadInput(f"a cloud task of {len(self.edges)} edges has {sorted(lengths)} entries: give one per edge.")
+        _require_epochs(self.join)
+
+
+def _require_epochs(join: Join) -> None:
+    if join.epochs is None:
+        raise BadInput("a task to join says no epochs: say how often each view is shown (`AggregateConfig.joining_after`).")
 
 
 @dataclass(frozen=True, kw_only=True)

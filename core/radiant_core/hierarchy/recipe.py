@@ -4,7 +4,8 @@ follows from it. Once per run."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +13,13 @@ from numpy.typing import NDArray
 from radiant_core.aggregate.config import AggregateConfig, Trainings
 from radiant_core.choices import StepPolicy
 from radiant_core.hierarchy.groups import GroupTraining
-from radiant_core.hierarchy.messages import CHECKPOINT_EVERY_S, CloudTask, DeviceSettings, EdgeTask, RefineTask, Renderer
+from radiant_core.hierarchy.messages import CloudTask, DeviceSettings, EdgeTask, RefineTask, Renderer, Training
 from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.step_law import StepLaw
 from radiant_core.plan.system import System
 from radiant_core.plan.together.groups import GroupPlan
-from radiant_core.train.config import TrainConfig
+from radiant_core.train.config import CHECKPOINT_EVERY_S, TrainConfig
 from radiant_core.train.needs import step_law_of
 
 
@@ -89,6 +90,11 @@ class Recipe:
         return self.aggregate.joining_after(self.trainings)
 
     @property
+    def common(self) -> dict[str, Any]:
+        """What the tasks of all nodes have in common, see `Training`."""
+        return {name: getattr(self, name) for name in (item.name for item in fields(Training))}
+
+    @property
     def refining_epochs(self) -> int:
         """How often a device shows each of its photographs to the scene in a round."""
         return self.aggregate.refine.epochs_after(self.trainings)
@@ -118,9 +124,7 @@ class Recipe:
     def device_settings(self, device: str) -> DeviceSettings:
         """How a device trains."""
         return DeviceSettings(
-            train=self.training_of(device),
-            backend=self.backend,
-            checkpoint_every_s=self.checkpoint_every_s,
+            **{**self.common, "train": self.training_of(device)},
             upload=self.upload,
             memory_bytes=next(spec.memory_bytes for spec in self.system.devices if spec.id == device),
             seat=None if (group := self.group_of(device)) is None else group.seat_of(device),
@@ -149,11 +153,9 @@ class Recipe:
     def refine_task(self, device: str) -> RefineTask:
         """Fit the joined scene to a device's photographs."""
         return RefineTask(
-            train=self.train,
-            backend=self.backend,
-            checkpoint_every_s=self.checkpoint_every_s,
+            **self.common,
             epochs=self.refining_epochs,
-            max_num_steps=self.aggregate.max_num_steps,
+            max_num_steps=self.aggregate.refine.max_num_steps,
             upload=self.upload,
             memory_bytes=next(spec.memory_bytes for spec in self.system.devices if spec.id == device),
         )
@@ -166,10 +168,9 @@ class Recipe:
             devices=tuple(num_dealt),
             num_dealt=tuple(num_dealt.values()),
             strips=tuple(tuple((float(x), float(y)) for x, y in strip) for strip in strips),
-            train=self.train,
-            aggregate=self.joining,
-            backend=self.backend,
-            checkpoint_every_s=self.checkpoint_every_s,
+            **self.common,
+            join=self.joining.edge,
+            draws_cameras=self.aggregate.cloud.method != "crop_merge",
             upload=self.upload,
             memory_bytes=next(spec.memory_bytes for spec in self.system.edges if spec.id == edge),
             group=next((group.of_edge(edge) for group in self.groups.values() if edge in group.views), None),
@@ -184,7 +185,7 @@ class Recipe:
                 limited.
         """
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in num_dealt]
-        retrains, limits = self.aggregate.cloud == "retrain", self.system.cloud
+        retrains, limits = self.aggregate.cloud.method != "crop_merge", self.system.cloud
         # Measured times differ from run to run: they are dealt only where they decide.
         timed = retrains and limits.time_s is not None and "cloud" not in self.groups
         return CloudTask(
@@ -192,10 +193,8 @@ class Recipe:
             num_dealt=tuple(num_dealt.values()),
             sites=tuple((float(x), float(y)) for x, y in self.cloud_plan.sites[rows]),
             weights=tuple(float(weight) for weight in self.cloud_plan.weights[rows]),
-            train=self.train,
-            aggregate=self.joining,
-            backend=self.backend,
-            checkpoint_every_s=self.checkpoint_every_s,
+            **self.common,
+            join=self.joining.cloud,
             limits=limits if retrains else None,
             edge_times_s=tuple(self._join_s(edge, joined[edge]) for edge in num_dealt) if timed else None,
             group=(group := self.groups.get("cloud")),
@@ -206,6 +205,7 @@ class Recipe:
         """Seconds that the edge's retraining would take in the cloud's epochs; by its cost curve
         where it did none or its devices trained one model."""
         if summary["num_steps"] and f"edges/{edge}" not in self.groups:
-            return float(summary["train_s"]) * self.joining.at_cloud.num_epochs / self.joining.at_edge.num_epochs
+            at_edge, at_cloud = self.aggregate.epochs_after(self.trainings)
+            return float(summary["train_s"]) * at_cloud / at_edge
         row = self.cloud_plan.edge_ids.index(edge)
         return float(self.system.edges[row].aggregate_s(int(self.cloud_plan.counts[row])))

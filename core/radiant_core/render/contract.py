@@ -39,7 +39,13 @@ type, the oracle."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SplatTensors:
-    """The torch twin of `Splats`: leaves that may require gradients; made inside, not validated."""
+    """The torch twin of `Splats`: leaves that may require gradients; made inside, not validated.
+
+    Example:
+        >>> tensors = radiant.SplatTensors.from_splats(radiant.load_splats("model.ply"))
+        >>> tensors.sh0.requires_grad_().shape[1:]
+        torch.Size([1, 3])
+    """
 
     means: Tensor
     quats: Tensor

@@ -49,6 +49,14 @@ def rasterize(
     Raises BadInput naming tensor, count and first index of values that are not finite, and for a
     wrong shape or type, no camera, one that is not rigid or no pinhole, pictures without pixels or
     a side above 1,000,000 px, a degree without bases, near_m ≥ far_m, and what `backend` cannot do.
+
+    Use it for gradients, of the splats or of cameras; `render` gives pictures in numpy.
+
+    Example:
+        >>> splats = radiant.SplatTensors.from_splats(radiant.load_splats("model.ply"))
+        >>> pose, K = torch.eye(4)[None], torch.tensor([[[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]])
+        >>> radiant.rasterize(splats, pose, K, 64, 48, sh_degree=0).images.shape
+        torch.Size([1, 48, 64, 3])
     """
     if backend not in get_args(Backend):
         raise BadInput(f"backend {backend!r} is unknown: use {', '.join(map(repr, get_args(Backend)))}.")

@@ -35,6 +35,8 @@ class RenderedView:
 def render_views(splats: Splats, cameras: Cameras, backend: Backend = "auto", near_m: FloatArray | None = None) -> Iterator[RenderedView]:
     """Render every camera at its size, one picture in memory at a time.
 
+    Use it for pictures in numpy; `rasterize` has gradients, in torch.
+
     Args:
         splats: the model.
         cameras: in the frame of the model.
@@ -44,6 +46,12 @@ def render_views(splats: Splats, cameras: Cameras, backend: Backend = "auto", ne
 
     Yields:
         One picture per camera, in their order.
+
+    Example:
+        >>> scene, splats = radiant.load_scene("SCENE"), radiant.load_splats("model.ply")
+        >>> view = next(radiant.render(splats, scene.cameras.select([0]).scaled(64)))
+        >>> view.image.shape, view.depth.shape
+        ((48, 64, 3), (48, 64))
     """
     near = np.full(len(cameras), NEAR_M) if near_m is None else np.asarray(near_m, np.float64)
     tensors = SplatTensors.from_splats(splats, device=device_of(resolve_backend(backend)))

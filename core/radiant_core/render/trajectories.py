@@ -22,7 +22,15 @@ MAX_SIDE_PX = 8192
 
 @dataclass(frozen=True, kw_only=True)
 class Lens:
-    """What each frame is taken with: size in px, field of view across the wider side in degrees."""
+    """What each frame is taken with: size in px, by default 960 × 540; field of view across the
+    wider side in degrees, by default 60.
+
+    Example:
+        >>> lens = radiant.Lens(size_wh=(640, 480), field_of_view_deg=75)
+        >>> cameras = radiant.orbit((0, 0, 0), 20, 30, 4, lens)
+        >>> cameras.sizes_wh[0].tolist()
+        [640, 480]
+    """
 
     size_wh: tuple[int, int] = (960, 540)
     field_of_view_deg: float = 60.0
@@ -43,7 +51,19 @@ class Lens:
 
 def cameras_looking_at(positions: ArrayLike, targets: ArrayLike, lens: Lens) -> Cameras:
     """Cameras at positions (V,3) that look at targets (V,3), named frame_00000 and so on; BadInput
-    where both coincide, or for no frame."""
+    where both coincide, or for no frame. Use it for views of your own.
+
+    Args:
+        positions: m, where each camera stands.
+        targets: m, what is in the middle of its picture.
+        lens: size and field of view of the pictures.
+
+    Example:
+        >>> lens = radiant.Lens(size_wh=(320, 240))
+        >>> cameras = radiant.cameras_looking_at([(0, -9, 5)], [(0, 0, 0)], lens)
+        >>> cameras.names
+        ('frame_00000',)
+    """
     positions = check_array("positions", positions, (None, 3))
     targets = check_array("targets", targets, (len(positions), 3))
     if not 1 <= len(positions) <= MAX_FRAMES:
@@ -73,7 +93,20 @@ def cameras_looking_at(positions: ArrayLike, targets: ArrayLike, lens: Lens) -> 
 
 def orbit(center: ArrayLike, radius: float, elevation_deg: float, num_frames: int, lens: Lens) -> Cameras:
     """Once around `center` (3,) at a distance, seen from `elevation_deg` above the horizon; the
-    last frame ends before the first begins."""
+    last frame ends before the first begins. Use it for turning films of a model.
+
+    Args:
+        center: (3,) m that every frame looks at.
+        radius: m from there to the cameras.
+        elevation_deg: above the horizon; 90: from straight above.
+        num_frames: of the whole circle.
+        lens: size and field of view of the frames.
+
+    Example:
+        >>> cameras = radiant.orbit((0, 0, 0), 20, 30, 8, radiant.Lens(size_wh=(320, 240)))
+        >>> len(cameras), round(float(cameras.centers[0, 2]), 3)
+        (8, 10.0)
+    """
     if not (np.isfinite(radius) and radius > 0 and -89 <= elevation_deg <= 89):
         raise BadInput(f"an orbit of radius {radius} at {elevation_deg}° was asked for, expected a positive radius and −89° to 89°.")
     center = check_array("center", center, (3,))

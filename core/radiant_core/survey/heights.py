@@ -49,11 +49,6 @@ class HeightMap:
         """Share of the cells that were measured."""
         return float((self.source == MEASURED).mean())
 
-    @property
-    def known_share(self) -> float:
-        """Share of the cells that were measured or filled."""
-        return float((self.source != UNKNOWN).mean())
-
     def at(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Heights and σ (P,) of the cells that places (P,2) fall into; NaN outside and where
         unknown."""

@@ -26,6 +26,8 @@ from radiant_core.train.densify.policies import (
 
 NEVER = 10**9
 """Steps that no schedule reaches."""
+CHECKPOINT_EVERY_S = 10.0
+"""Seconds between two checkpoints of a training, unless a user says otherwise."""
 Preset = Literal["draft", "default", "standard", "paper"]
 """draft: a quick look; default: our best; standard: plain 3DGS with its 30,000 steps; paper: plain
 3DGS with the paper's 20,000 steps, densified from step 500 to 15,000 every 100 (its Sec. IV-B), not
@@ -34,7 +36,15 @@ reduced on a CPU."""
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """How one model is fitted to one set of views. Learning rates are those of 3DGS otherwise."""
+    """How one model is fitted to one set of views. Learning rates are those of 3DGS otherwise.
+
+    `train_preset` makes one whose settings fit each other; change single ones of that.
+
+    Example:
+        >>> config = replace(radiant.train_preset("default"), sh_degree=2, light="none")
+        >>> config.ssim_weight
+        0.2
+    """
 
     num_steps: int = 7_000
     """Optimisation steps, one image each; schedules are scaled to this number."""
@@ -219,14 +229,22 @@ _PRESETS: dict[str, TrainConfig] = {
 def train_preset(name: str) -> TrainConfig:
     """Return the configuration of a preset.
 
+    Use it with `dataclasses.replace` to change what a preset has, and give that to `train`.
+
     Args:
-        name: one of `Preset`.
+        name: draft, default, standard (3DGS) or paper.
 
     Returns:
         The configuration, as every training of that preset begins with.
 
     Raises:
         BadInput: an unknown name; the message lists the names there are.
+
+    Example:
+        >>> config = replace(radiant.train_preset("draft"), num_steps=10, long_side_px=64)
+        >>> result = radiant.train(radiant.load_scene("SCENE"), config)
+        >>> result.num_steps
+        10
     """
     if name not in _PRESETS:
         raise BadInput(f"train preset {name!r} is unknown: use one of {', '.join(get_args(Preset))}.")

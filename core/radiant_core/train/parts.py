@@ -33,7 +33,16 @@ class Moment:
 
 
 class Part(Protocol):
-    """A part of a training; a hook that it does not define does nothing."""
+    """A part of a training; a hook that it does not define does nothing.
+
+    Use it for your own densification, regularisation or logging: `train(…, parts=[MyPart()])`.
+
+    Example:
+        >>> class Count(radiant.Part):
+        ...     name, steps = "count", 0
+        ...     def after_step(self, step, progress, splats):
+        ...         self.steps = step
+    """
 
     name: str
     """Prefix of its arrays in a checkpoint, and the key of its numbers there."""

@@ -20,7 +20,7 @@ from radiant_viewer.runs.unplanned import folder_kind
 
 if TYPE_CHECKING:
     from radiant_core.scene import SfmScene
-    from radiant_viewer.editing.plan_files import PlanSetting
+    from radiant_viewer.editing.store.plan_files import PlanSetting
     from radiant_viewer.window.inspector import Opening
 
 EDITS = "_edits.json"
@@ -192,7 +192,7 @@ def _machines(named: Path | None, places: Sequence[Path], reason: str) -> tuple[
 
 
 def _setting(machines: tuple[System | None, str], edits_path: Path, plan: PlanFile | None = None) -> PlanSetting:
-    from radiant_viewer.editing.plan_files import PlanSetting
+    from radiant_viewer.editing.store.plan_files import PlanSetting
 
     system, reason = machines
     return PlanSetting(

@@ -33,7 +33,7 @@ from radiant_app.files.profile_file import KIND, SUFFIXES, library_profiles, loa
 from radiant_app.files.run_folder import read_manifest, require_current
 from radiant_app.run.predictions import planned_training, share_of_epochs, training_key_of
 from radiant_app.workers.sources import detect_source, has_scene, images_folder_of, load_scene_of, sfm_task
-from radiant_core.aggregate.config import JOINING_EPOCHS
+from radiant_core.aggregate.config import EDGE_EPOCHS
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.codec import save_task, task_setting
 from radiant_core.io.records import load_plan, load_scene
@@ -159,8 +159,8 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
         if seconds:
             working = sum(1 for count in counts.values() if count)
             if working > 1:
-                epochs = _epochs(run / "edges" / plan.edge_id, "edge_epochs")
-                seconds /= share_of_epochs(JOINING_EPOCHS[0] if epochs is None else epochs, JOINING_EPOCHS[0])
+                epochs = _epochs(run / "edges" / plan.edge_id)
+                seconds /= share_of_epochs(EDGE_EPOCHS if epochs is None else epochs, EDGE_EPOCHS)
             edges.append(EdgeSample(num_cameras=sum(counts.values()), num_devices=working, seconds=seconds))
     if not devices:
         raise BadInput(f"{run} keeps no times of a device's training: give the folder of a run with its devices/ and edges/.")
@@ -172,7 +172,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     distinct = sorted({sample.num_cameras for sample in devices})
     held_out = distinct[len(distinct) // 2] if len(distinct) > 2 else None
     # Where the cloud fitted nothing, its time does not say what fitting takes.
-    seconds = None if _epochs(run / "cloud", "cloud_epochs") == 0 else _seconds(stages, "cloud")
+    seconds = None if _epochs(run / "cloud") == 0 else _seconds(stages, "cloud")
     num_cameras = sum(sample.num_cameras for sample in edges)
     merges = (EdgeSample(num_cameras=num_cameras, num_devices=len(edges), seconds=seconds),) if seconds and num_cameras else ()
     measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out, merges=merges)
@@ -180,9 +180,9 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     return _write_profile(out, measured, key, machine or machine_label(None), source)
 
 
-def _epochs(node: Path, name: str) -> int | None:
-    """Epochs that a node's task asks for; None for as many as there are by default."""
-    return (task_setting(node, "aggregate") or {}).get(name)
+def _epochs(node: Path) -> int | None:
+    """Epochs that a node's task asks for; None where it was asked nothing."""
+    return (task_setting(node, "join") or {}).get("epochs")
 
 
 def library_table() -> str:

@@ -34,7 +34,7 @@ from radiant_app.run.dealing import deal_files
 from radiant_app.workers.inbox import load_corrections
 from radiant_app.workers.sources import sfm_task
 from radiant_app.workers.tasks import SfmTask
-from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.config import CLOUD_EPOCHS, EDGE_EPOCHS, Join
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.frames import FrameUncertainty
@@ -181,11 +181,10 @@ class Measuring:
         free_s = max(0.0, time_s - seconds - start_s * (len(sizes) + num_joins))
         num_steps = int(np.clip(_TRAINING_SHARE * free_s / (len(sizes) * step_s), steps, self.train.num_steps))
         view_s = _RETRAIN_STEP_COST * step_s
-        aggregate = aggregate_preset("default")
-        epoch_s = view_s * 2 * sum(joined) * (1 + aggregate.at_cloud.num_epochs / aggregate.at_edge.num_epochs)
+        epoch_s = view_s * 2 * sum(joined) * (1 + CLOUD_EPOCHS / EDGE_EPOCHS)
 
         def epochs_in(seconds: float) -> int:
-            return int(np.clip(seconds / epoch_s, 1, aggregate.at_edge.num_epochs))
+            return int(np.clip(seconds / epoch_s, 1, EDGE_EPOCHS))
 
         num_epochs = epochs_in((1 - _TRAINING_SHARE) * free_s)
         self.left_s = [start_s + step_s * num_steps] * len(sizes)
@@ -204,7 +203,7 @@ class Measuring:
             edges.append(self._edge(count, num_steps, num_devices, num_epochs))
         for count in joined:
             self.note = f"joining 2 of {count} photographs at the cloud"
-            merges.append(self._cloud(count, num_steps, max(1, num_epochs * aggregate.at_cloud.num_epochs // aggregate.at_edge.num_epochs)))
+            merges.append(self._cloud(count, num_steps, max(1, num_epochs * CLOUD_EPOCHS // EDGE_EPOCHS)))
         frames_s, frames_alone_s = self._frames(joined[-1], num_steps)
         sfm = self._placements(sizes, min((edge.seconds for edge in edges if edge.num_devices == 1), default=0.0), OVERTIME * time_s)
         return Measured(
@@ -247,12 +246,12 @@ class Measuring:
         or take one as it is: one device has nothing to join."""
         copies = min(self.num_workers, NUM_MODELS)
         tasks = self._edge_tasks(f"edges/{num_devices * count}-{num_devices}", count, num_steps, num_devices, num_epochs, copies)
-        seconds = self._in_all_epochs("edge", tasks, aggregate_preset("default").at_edge.num_epochs / num_epochs)
+        seconds = self._in_all_epochs("edge", tasks, EDGE_EPOCHS / num_epochs)
         return EdgeSample(num_cameras=num_devices * count, num_devices=num_devices, seconds=seconds)
 
     def _edge_tasks(self, name: str, count: int, num_steps: int, num_devices: int, num_epochs: int, copies: int) -> dict[Path, Task]:
         # Models that agree are only cut: here they are retrained all the same.
-        aggregate = replace(aggregate_preset("default"), edge_epochs=num_epochs, agreement_db=None)
+        join = Join(epochs=num_epochs, agreement_db=None)
         tasks: dict[Path, Task] = {}
         for copy in range(copies):
             folder = self._folder(f"{name}-{copy}")
@@ -262,7 +261,7 @@ class Measuring:
                 num_dealt=(count,) * num_devices,
                 strips=((),) * num_devices,
                 train=self.train,
-                aggregate=aggregate,
+                join=join,
                 backend=self.backend,
                 upload=UPLOAD,
             )
@@ -298,7 +297,7 @@ class Measuring:
 
     def _cloud(self, count: int, num_steps: int, num_epochs: int) -> EdgeSample:
         """Join two models of so many photographs as those of two edges, alone as in a run."""
-        aggregate = replace(aggregate_preset("default"), cloud_epochs=num_epochs, agreement_db=None)
+        join = Join(epochs=num_epochs, agreement_db=None)
         folder = self._folder(f"cloud/{2 * count}")
         names = self._fill_inbox(folder, count, num_steps, 2, "virtual_cameras.safetensors")
         middles = [self.scene.cameras.centers[rows, :2].mean(axis=0) for rows in self._shares(count)]
@@ -308,10 +307,10 @@ class Measuring:
             sites=tuple((float(x), float(y)) for x, y in middles),
             weights=(0.0, 0.0),
             train=self.train,
-            aggregate=aggregate,
+            join=join,
             backend=self.backend,
         )
-        seconds = self._in_all_epochs("cloud", {folder: task}, aggregate_preset("default").at_cloud.num_epochs / num_epochs)
+        seconds = self._in_all_epochs("cloud", {folder: task}, CLOUD_EPOCHS / num_epochs)
         return EdgeSample(num_cameras=2 * count, num_devices=2, seconds=seconds)
 
     def _placements(self, sizes: Sequence[int], start_s: float, time_s: float) -> list[tuple[int, float]]:

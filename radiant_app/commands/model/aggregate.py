@@ -13,7 +13,7 @@ from radiant_app.files.run_folder import require_current
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.reporting import EventReporter
 from radiant_app.workers.inbox import receive_device_models
-from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
+from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, Join, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.codec import load_task, passed_on
@@ -44,8 +44,9 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
     require_run(run)
     require_current(run)
     config = aggregate_preset(preset)
-    config = config if epochs is None else replace(config, cloud_epochs=epochs, edge_epochs=epochs)
-    scene, joined_s = join_run(run, config, display)
+    if epochs is not None:
+        config = replace(config, edge=replace(config.edge, epochs=epochs), cloud=replace(config.cloud, epochs=epochs))
+    scene, joined_s = join_run(run, config.joining_after(None), display)
     if scene.splats is None:
         raise BadInput(f"no model of {run} can be joined: {'; '.join(scene.refused.values()) or 'no edge has one'}.")
     with folder_made_for(out):
@@ -67,7 +68,7 @@ def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tu
     models: dict[str, EdgeModel | str] = {}
     joined_s = 0.0
     for edge, edge_task in tasks.items():
-        task = replace(edge_task, aggregate=config, memory_bytes=None)
+        task = replace(edge_task, join=config.edge, draws_cameras=True, memory_bytes=None)
         arrived = receive_device_models(run / "edges" / edge, task.devices)
         stage = f"edges/{edge}"
         with stage_bar(display, stage):
@@ -78,11 +79,11 @@ def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tu
     if not models:
         return SceneModel(splats=None), joined_s
     with stage_bar(display, "cloud"):
-        scene = join_cloud(_cloud_task(cloud_plan, tasks, tuple(models), config), models, EventReporter(stage="cloud", emit=display))
+        scene = join_cloud(_cloud_task(cloud_plan, tasks, tuple(models), config.cloud), models, EventReporter(stage="cloud", emit=display))
     return scene, joined_s
 
 
-def _cloud_task(plan: CloudPlan, tasks: dict[str, EdgeTask], edges: tuple[str, ...], config: AggregateConfig) -> CloudTask:
+def _cloud_task(plan: CloudPlan, tasks: dict[str, EdgeTask], edges: tuple[str, ...], join: Join) -> CloudTask:
     rows = [plan.edge_ids.index(edge) for edge in edges]
     first = tasks[edges[0]]
     return CloudTask(
@@ -92,5 +93,5 @@ def _cloud_task(plan: CloudPlan, tasks: dict[str, EdgeTask], edges: tuple[str, .
         weights=tuple(float(weight) for weight in plan.weights[rows]),
         train=first.train,
         backend=first.backend,
-        aggregate=config,
+        join=join,
     )

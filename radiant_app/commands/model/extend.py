@@ -21,22 +21,21 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.reporting import EventReporter
 from radiant_app.workers.inbox import load_corrections
 from radiant_app.workers.sources import DELIVERED, has_scene, load_scene_of
-from radiant_core.aggregate.config import AggregateConfig, Refine
+from radiant_core.aggregate.config import Join
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3, enu_change
 from radiant_core.geometry.similarity import move_cameras
-from radiant_core.hierarchy.codec import TASK_NAME, message_of
-from radiant_core.hierarchy.messages import CloudTask, EdgeModel, Extension
+from radiant_core.hierarchy.codec import load_task
+from radiant_core.hierarchy.messages import CloudTask
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan_waypoints
-from radiant_core.io.run_store import read_json
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.regions.power_diagram import polygon_area_m2
 from radiant_core.splats import Splats
 from radiant_core.waypoints.region import load_region
 
-STAGE, STANDING, NEW = "extend", "standing", "new"
+STAGE = "extend"
 MARGIN = 0.05
 """Half width of the fitted strip, as a share of the side of a square as large as the region."""
 
@@ -79,14 +78,17 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     Raises:
         BadInput: the two runs have no frame in common, or the new one is of an earlier version.
     """
-    from radiant_core.hierarchy.cloud import join_cloud
+    from radiant_core.aggregate.extend import NewRegion, extend_scene
+    from radiant_core.aggregate.synthetic_views import Teacher
+    from radiant_core.hierarchy.reporter import Machine, fit_options
     from radiant_core.render.rasterize import resolve_backend
 
+    if request.num_epochs is not None and request.num_epochs < 1:
+        raise BadInput(f"the margin is shown {request.num_epochs} times, and nobody else fits it: give 1 or more epochs.")
     require_file_to_be(request.out)
     require_run(request.new, "scene.ply")
     require_current(request.new)
-    # Runs made before a task could extend have no such key.
-    cloud_task = message_of(CloudTask, {"extends": None, **read_json(request.new / "cloud" / TASK_NAME, ("train", "num_dealt"))})
+    train = load_task(CloudTask, request.new / "cloud").train
     if request.old.is_dir():
         require_run(request.old, "scene.ply")
     old = given_model(request.old, display, as_trained=True).splats
@@ -101,27 +103,16 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     polygon = _hull(cameras.centers[:, :2]) if request.region is None or origin is None else load_region(request.region, origin, warn)
     side_m = float(np.sqrt(abs(polygon_area_m2(polygon))))
     margin_m = MARGIN * side_m if request.margin_m is None else request.margin_m
-    task = CloudTask(
-        edges=(STANDING, NEW),
-        num_dealt=(0, sum(cloud_task.num_dealt)),
-        sites=(),
-        weights=(),
-        train=cloud_task.train,
-        aggregate=AggregateConfig()
-        if request.num_epochs is None
-        else AggregateConfig(cloud_epochs=request.num_epochs, refine=Refine(epochs=0)),
-        backend=resolve_backend("auto"),
-        extends=Extension(polygon=tuple((float(x), float(y)) for x, y in polygon), margin_m=margin_m),
-    )
-    models = {STANDING: EdgeModel(splats=old), NEW: EdgeModel(splats=new, cameras=cameras)}
+    addition, region = Teacher(splats=new, cameras=cameras), NewRegion(polygon=polygon, margin_m=margin_m)
     with stage_bar(display, STAGE):
-        scene = join_cloud(task, models, EventReporter(stage=STAGE, emit=display))
-    assert scene.splats is not None
+        reporter = EventReporter(stage=STAGE, emit=display)
+        options = fit_options(resolve_backend("auto"), reporter, Machine(), lambda: "")
+        extended = extend_scene(old, addition, region, train, Join(epochs=request.num_epochs), options)
     with folder_made_for(request.out):
-        save_ply(request.out, scene.splats)
+        save_ply(request.out, extended.splats)
     return {
-        "gaussians": len(scene.splats),
-        **{name: scene.summary[count] for name, count in FIGURES.items()},
+        "gaussians": len(extended.splats),
+        **{name: getattr(extended, count) for name, count in FIGURES.items()},
         "margin_m": round(margin_m, 3),
         "frames": frames,
         "model": str(request.out),

@@ -91,9 +91,9 @@ class Running:
         unpacked, without a connection to the node above. BadInput where the node is refused."""
         require_network()
         from radiant_app.executors.local import worker_command
+        from radiant_app.network.edge import EdgePerformer
         from radiant_app.network.errands import Errands
         from radiant_app.network.hub import open_hub
-        from radiant_app.nodes.edge import EdgePerformer
 
         home = open_home(folder)
         if not home.node.startswith("edges/"):
@@ -108,8 +108,8 @@ class Running:
         BadInput where the node is refused, or its owner does not agree."""
         require_network()
         from radiant_app.executors.local import worker_command
+        from radiant_app.network.device import DevicePerformer
         from radiant_app.network.errands import Errands
-        from radiant_app.nodes.device import DevicePerformer
 
         home = open_home(folder)
         if not home.node.startswith("devices/"):
@@ -145,7 +145,7 @@ class Running:
 
 def consent_text(home: Home) -> str:
     """What a device's owner agrees to."""
-    from radiant_app.nodes.device import LEAVES, STAYS
+    from radiant_app.network.device import LEAVES, STAYS
 
     upper = home.upper
     way = (

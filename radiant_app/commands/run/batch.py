@@ -133,7 +133,7 @@ def _job_result(folder: Path, job: Job, started: JobResult, listen: Listener, *,
         return replace(started, status=status, seconds=time.monotonic() - begun_s, **more)
 
     try:
-        run_task(NodeTask(kind="run", stage=stage, folder=record, key=key, module="radiant_app.run.job"), note)
+        run_task(NodeTask(kind="run", stage=stage, folder=record, key=key, module="radiant_app.commands.run.job"), note)
         metrics = read_json(out / "metrics.json", FIGURES)
     except RadiantError as error:
         return end("failed", exit_code=error.exit_code, message=str(error).removeprefix(f"{stage}: "))

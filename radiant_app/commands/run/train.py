@@ -56,7 +56,7 @@ from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.sfm.world_frame.placement import AUTO, Placement
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import CheckpointFolder
-from radiant_core.train.config import NEVER, Preset, TrainConfig, train_preset
+from radiant_core.train.config import CHECKPOINT_EVERY_S, NEVER, Preset, TrainConfig, train_preset
 from radiant_core.train.few import NoKeptScores
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_training_views
@@ -103,7 +103,7 @@ class TrainRequest:
     validate: bool | None = None
     """Whether an eighth of them only chooses the model; None: from `MIN_VALIDATED` on."""
     seed: int = 0
-    checkpoint_every_s: float = 10.0
+    checkpoint_every_s: float = CHECKPOINT_EVERY_S
 
     def __post_init__(self) -> None:
         for name, value, unit in (("--time", self.time_s, "seconds"), ("--checkpoint-every", self.checkpoint_every_s, "seconds")):

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.rivals.box_coverage import box_coverage
 from benchmarks.rivals.vast_gaussian import VastGaussianConfig, crop_cells, scene_of_cell, vast_cells, vast_gaussian
+from benchmarks.training_pixels import training_pixels
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
@@ -21,7 +22,6 @@ from radiant_core.train import view_loss
 from radiant_core.train.config import train_preset
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.trainer import FitOptions, fit_splats
-from radiant_core.train.training_pixels import training_pixels
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiant_core.aggregate.config import Join
+from radiant_core.aggregate.config import CLOUD_EPOCHS, Join
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.join import Joined, cut_at_borders, join_models, teacher_views
 from radiant_core.aggregate.retrain import retraining_config
@@ -108,20 +108,20 @@ def test_joining_heals_what_a_blind_neighbour_covers(claims: Claims | None) -> N
     views = teacher_views(teachers([west, east], [WEST, EAST]), 48)
     before = mean_psnr_db(concatenate_splats([west, east]), views)
     result = join_models(teachers([west, east], [WEST, EAST]), TRAIN, Join(), FitOptions(), claims)
-    assert (result.trained.num_steps, result.num_shown, result.num_views) == (4 * Join().num_epochs, 4, 4)
+    assert (result.trained.num_steps, result.num_shown, result.num_views) == (4 * CLOUD_EPOCHS, 4, 4)
     assert result.agreement_db is not None and before + 3 < result.agreement_db < 48
     assert mean_psnr_db(result.splats, views) > before + 3
 
 
 def test_in_no_epoch_models_fade_and_the_cut_comes_beside() -> None:
     west, east = halves()
-    result = joined([west, east], [WEST, EAST], num_epochs=0, faint_opacity=0.0)
+    result = joined([west, east], [WEST, EAST], epochs=0, faint_opacity=0.0)
     cut = cut_at_borders(teachers([west, east], [WEST, EAST]), CELLS).splats
     assert result.is_unfitted and result.trained.num_steps == 0 and result.check is None
     assert result.cut is not None and len(result.cut) == len(cut) < len(result.splats) == len(west) + len(east)
     owned = np.flatnonzero(result.splats.logit_opacities == concatenate_splats([west, east]).logit_opacities)
     np.testing.assert_array_equal(result.splats.means[owned], result.cut.means)
-    (decision,) = [one for one in join_decisions("cloud", Join(num_epochs=0), 2, result) if one.topic == "retraining"]
+    (decision,) = [one for one in join_decisions("cloud", Join(epochs=0), 2, result) if one.topic == "retraining"]
     assert decision.choice.startswith("models fade where others own the place") and not decision.changes_nothing
 
 
@@ -132,7 +132,7 @@ def test_models_that_agree_are_cut_and_not_retrained() -> None:
     assert len(result.splats) == len(model)
     np.testing.assert_array_equal(np.unique(result.splats.means, axis=0), np.unique(model.means, axis=0))
     forced = joined([model, model], [WEST, EAST], foreign_opacity=1e-3, agreement_db=None)
-    assert forced.trained.num_steps == 4 * Join().num_epochs
+    assert forced.trained.num_steps == 4 * CLOUD_EPOCHS
 
 
 def test_what_no_second_model_knows_keeps_its_bits() -> None:
@@ -164,13 +164,13 @@ def test_nothing_contested_is_a_plain_cut() -> None:
 def test_paper_preset_concatenates_and_retrains_everything() -> None:
     west, east = halves()
     both = concatenate_splats([west, east])
-    result = joined([west, east], [WEST, EAST], preset="paper", max_num_steps=3)
+    result = joined([west, east], [WEST, EAST], method="paper", max_num_steps=3)
     assert result.trained.num_steps == 3 and len(result.splats) == len(both)
     assert (result.splats.means != both.means).any()
 
 
 def test_joining_keeps_its_own_rates_however_long_it_takes() -> None:
-    config = retraining_config(train_preset("default"), Join(num_epochs=100), ground_splats(), 50)
+    config = retraining_config(train_preset("default"), Join(epochs=100), ground_splats(), 50)
     assert config.num_steps == 5_000 and config.settle_epochs is None and train_preset("default").settle_epochs == 12
 
 

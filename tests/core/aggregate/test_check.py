@@ -78,7 +78,7 @@ def test_a_joined_model_that_is_better_is_kept_and_the_decision_says_by_how_much
 
 @pytest.mark.parametrize("num_views", [2, 3 * NUM_COMPARED])
 def test_every_view_is_shown_and_some_are_compared(num_views: int) -> None:
-    result = joined(num_views, num_epochs=1)
+    result = joined(num_views, epochs=1)
     assert result.trained.num_steps == num_views
     assert result.check is not None and result.check.num_views == min(NUM_COMPARED, num_views)
     assert len([one for one in join_decisions("cloud", Join(), 2, result) if one.topic == "joined or cut"]) == 1
@@ -98,7 +98,7 @@ def test_the_figures_are_of_all_pixels_so_that_a_view_that_a_cut_leaves_alone_we
     """A view 60 dB well does not outweigh three of 20: a mean in dB would be 30."""
     views_db = iter([[25.0], [30.0] * 4, [60.0, 20.0, 20.0, 20.0]])
     monkeypatch.setattr(join, "_psnr_db", lambda *_: next(views_db))
-    result = joined(16, num_epochs=1)
+    result = joined(16, epochs=1)
     assert result.check is not None and result.check.joined_db == pytest.approx(30)
     assert result.check.cut_db == pytest.approx(20 + 10 * np.log10(4 / 3), abs=1e-3)
 
@@ -109,5 +109,5 @@ def test_equal_figures_keep_the_joined_one() -> None:
 
 
 def test_the_paper_compares_nothing() -> None:
-    result = join_models(teachers(), TRAIN, replace(aggregate_preset("paper").at_cloud, num_epochs=1), FitOptions(backend="native"), CLAIMS)
+    result = join_models(teachers(), TRAIN, replace(aggregate_preset("paper").cloud, epochs=1), FitOptions(backend="native"), CLAIMS)
     assert result.check is None and result.trained.num_steps == NUM_VIEWS

@@ -146,15 +146,16 @@ class TestNeeds:
 class TestPaperAggregation:
     def test_the_preset_turns_every_skip_off(self) -> None:
         paper = aggregate_preset("paper")
-        assert (paper.preset, paper.cloud_epochs, paper.max_num_steps, paper.cloud) == ("paper", 10, None, "retrain")
-        assert (paper.at_cloud.num_epochs, paper.retrain_single, paper.weight_by_alpha) == (10, True, False)
+        for join in (paper.edge, paper.cloud):
+            assert (join.method, join.epochs, join.max_num_steps) == ("paper", 10, None)
+            assert join.retrain_single and not join.weight_by_alpha
         assert aggregate_preset("default") == AggregateConfig()
         with pytest.raises(BadInput, match="default, paper"):
             aggregate_preset("papers")
 
     def test_epochs_and_rounds_follow_from_how_long_how_many_devices_trained(self) -> None:
         ours, alone = AggregateConfig(), AggregateConfig(refine=Refine(epochs=0))
-        asked = AggregateConfig(edge_epochs=7, cloud_epochs=0, refine=Refine(rounds=9))
+        asked = AggregateConfig(edge=Join(epochs=7), cloud=Join(epochs=0), refine=Refine(rounds=9))
         long, many, few = (10, 5), (2, 2), (1, 0)
         for shows, steps, num_devices, epochs, rounds in (
             (HARDLY_SHOWN - 0.1, 500, FEW_DEVICES, few, 5),
@@ -175,41 +176,38 @@ class TestPaperAggregation:
         ):
             trainings = Trainings(num_devices=num_devices, photograph_shows=shows, num_steps=steps)
             joining = ours.joining_after(trainings)
-            assert (joining.at_edge.num_epochs, joining.at_cloud.num_epochs) == epochs, trainings
+            assert (joining.edge.epochs, joining.cloud.epochs) == ours.epochs_after(trainings) == epochs, trainings
             assert ours.refine.rounds_after(trainings) == rounds and asked.refine.rounds_after(trainings) == 9, trainings
             # Few steps over few photographs leave less to fit.
             of_few = epochs == few and shows >= OFTEN_SHOWN
             assert ours.refine.epochs_after(trainings) == (5 if of_few else 8), trainings
             assert Refine(epochs=3).epochs_after(trainings) == 3
             assert alone.refine.epochs_after(trainings) == 0 and ours.refine.is_asked_for and not alone.refine.is_asked_for
-            # What was joined by the settings as they are keeps its key.
-            assert asked.joining_after(trainings) == asked and (epochs != long or joining == ours)
-            assert all(config.joining_after(trainings) == config for config in (alone, aggregate_preset("paper")))
-        assert (alone.at_edge.num_epochs, alone.at_cloud.num_epochs) == long
-        paper = aggregate_preset("paper")
-        assert (paper.at_edge.num_epochs, paper.at_cloud.num_epochs) == (10, 10)
+            assert asked.joining_after(trainings) == asked and alone.epochs_after(trainings) == long
+            assert aggregate_preset("paper").joining_after(trainings) == aggregate_preset("paper")
+        assert ours.epochs_after(None) == long
 
     @pytest.mark.parametrize(
-        "given", [{"refine": Refine(epochs=0), "cloud_epochs": 0}, {"preset": "paper", "cloud_epochs": 0}, {"edge_epochs": 0}]
+        "given", [{"refine": Refine(epochs=0), "cloud": Join(epochs=0)}, {"edge": Join(epochs=0)}, {"edge": Join(method="crop_merge")}]
     )
     def test_no_epochs_without_devices_that_refine_are_refused(self, given: dict) -> None:
-        with pytest.raises(BadInput, match=r"give 1 or more, or epochs of refining|edge_epochs .* at least 1"):
+        with pytest.raises(BadInput, match=r"give 1 or more, or epochs of refining|edge\.epochs .* at least 1|the cloud's alone"):
             AggregateConfig(**given)
         with pytest.raises(BadInput, match="shows its views 0 times"):
-            Join(preset="paper", num_epochs=0)
+            Join(method="paper", epochs=0)
 
     def test_it_retrains_at_the_rates_of_3dgs_however_devices_were_trained(self) -> None:
         device, plain = train_preset("default"), train_preset("standard")
-        made = retraining_config(device, aggregate_preset("paper").at_cloud, MODEL, 7)
+        made = retraining_config(device, aggregate_preset("paper").cloud, MODEL, 7)
         names = ("means_lr", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
         assert [getattr(made, name) for name in names] == [getattr(plain, name) for name in names]
         assert (made.num_steps, made.settle_epochs, made.density) == (70, None, NoDensification())
-        ours = retraining_config(device, aggregate_preset("default").at_cloud, MODEL, 7)
+        ours = retraining_config(device, aggregate_preset("default").cloud, MODEL, 7)
         assert [getattr(ours, name) for name in names] == [getattr(device, name) for name in names] and ours.scales_lr == 4 * made.scales_lr
 
     def test_all_gaussians_stay_a_lone_model_is_retrained_and_density_control_rests(self) -> None:
         train = replace(train_preset("paper"), long_side_px=48, density=Adc(from_step=0, every=1))
-        paper = replace(aggregate_preset("paper").at_cloud, num_epochs=1)
+        paper = replace(aggregate_preset("paper").cloud, epochs=1)
         west, east = MODEL.select(MODEL.means[:, 0] < 1), MODEL.select(MODEL.means[:, 0] > -1)
         both = join_models(
             [Teacher(splats=west, cameras=CAMERAS.select([0, 1])), Teacher(splats=east, cameras=CAMERAS.select([13]))],
@@ -226,7 +224,7 @@ class TestPaperAggregation:
         train = replace(train_preset("draft"), long_side_px=48)
         losses = []
         for weigh in (True, False):
-            config = replace(aggregate_preset("paper").at_cloud, num_epochs=1, weight_by_alpha=weigh)
+            config = replace(aggregate_preset("paper").cloud, epochs=1, weight_by_alpha=weigh)
             losses.append(join_models([Teacher(splats=thin, cameras=CAMERAS)], train, config, FitOptions()).trained.first_loss)
         assert losses[0] != losses[1]
 

@@ -36,7 +36,7 @@ def old_and_new() -> tuple[Splats, Splats, Splats]:
 
 
 def extended(old: Splats, new: Splats, region: NewRegion = EAST, *, epochs: int = 6) -> Extended:
-    return extend_scene(old, Teacher(splats=new, cameras=CAMERAS), region, TRAIN, Join(num_epochs=epochs), FitOptions())
+    return extend_scene(old, Teacher(splats=new, cameras=CAMERAS), region, TRAIN, Join(epochs=epochs), FitOptions())
 
 
 def border_psnr_db(made: Splats, truth: Splats) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from radiant_core.aggregate.config import MAX_TILES, AggregateConfig, aggregate_preset
+from radiant_core.aggregate.config import MAX_TILES, Join, aggregate_preset
 from radiant_core.aggregate.join import cut_at_borders
 from radiant_core.aggregate.join_memory import MOST_STATISTICS_BYTES, JoinMemory, join_bytes, pixels_of, plan_join_memory
 from radiant_core.aggregate.synthetic_views import Teacher
@@ -69,7 +69,7 @@ def test_where_not_even_tiles_fit_the_least_need_is_told() -> None:
 
 def test_the_paper_knows_no_tiles() -> None:
     models, cameras = two_models()
-    assert (aggregate_preset("paper").most_tiles, AggregateConfig().most_tiles) == (1, MAX_TILES)
+    assert (aggregate_preset("paper").edge.most_tiles, Join().most_tiles) == (1, MAX_TILES)
     plan = plan_join_memory(models, cameras, SIDE_PX, at_once_bytes() - 1, most_tiles=1)
     assert (plan.fits, plan.num_tiles, plan.needed_bytes) == (False, 1, at_once_bytes())
 

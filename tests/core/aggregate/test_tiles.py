@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiant_core.aggregate import tiles
-from radiant_core.aggregate.config import Join
+from radiant_core.aggregate.config import Join, JoinMethod
 from radiant_core.aggregate.join import join_models, teacher_views
 from radiant_core.aggregate.retrain import Retrained, retrain
 from radiant_core.aggregate.synthetic_views import Teacher
@@ -31,7 +31,7 @@ from tests.core.scenes import cameras_above, ground_splats
 GROUND = ground_splats(2500, half_side_m=8.0)
 CAMERAS = cameras_above([(x, y) for x in (-5.0, -2.0, 1.0, 4.0) for y in (-5.0, -2.0, 1.0, 4.0)], size_wh=(96, 72))
 TRAIN = replace(train_preset("draft"), long_side_px=96, max_num_splats=10_000)
-AGGREGATE = Join(num_epochs=4)
+AGGREGATE = Join(epochs=4)
 NATIVE = FitOptions(backend="native")
 
 
@@ -137,7 +137,7 @@ def test_one_tile_is_all_at_once_to_the_bit() -> None:
 def test_tiles_gain_most_of_what_all_at_once_gain() -> None:
     """From a start 12 dB below, on views of which the margin is a third: 37.1 dB at once, 35.1 by two
     tiles and 33.5 by four. Models that are joined begin near the end (`TILES_COST`)."""
-    given, config = worse(), replace(AGGREGATE, num_epochs=8)
+    given, config = worse(), replace(AGGREGATE, epochs=8)
     before_db = mean_db(given)
     made = {num: retrain_by_tiles(given, views(), TRAIN, config, NATIVE, num) for num in (1, 2, 4)}
     gains_db = {num: mean_db(whole(one, given)) - before_db for num, one in made.items()}
@@ -146,7 +146,7 @@ def test_tiles_gain_most_of_what_all_at_once_gain() -> None:
 
 
 def test_two_runs_by_tiles_give_the_same_bits() -> None:
-    first, second = (retrain_by_tiles(worse(), views(), TRAIN, replace(AGGREGATE, num_epochs=1), NATIVE, 4) for _ in range(2))
+    first, second = (retrain_by_tiles(worse(), views(), TRAIN, replace(AGGREGATE, epochs=1), NATIVE, 4) for _ in range(2))
     np.testing.assert_array_equal(first.reached, second.reached)
     for name, array in first.splats.arrays().items():
         np.testing.assert_array_equal(array, second.splats.arrays()[name], err_msg=name)
@@ -154,7 +154,7 @@ def test_two_runs_by_tiles_give_the_same_bits() -> None:
 
 def test_progress_of_the_last_tile_ends_at_its_total() -> None:
     heard: list[TrainProgress] = []
-    retrain_by_tiles(worse(), views(), TRAIN, replace(AGGREGATE, num_epochs=1), replace(NATIVE, report=heard.append, report_every_s=0), 4)
+    retrain_by_tiles(worse(), views(), TRAIN, replace(AGGREGATE, epochs=1), replace(NATIVE, report=heard.append, report_every_s=0), 4)
     assert heard[-1].step == heard[-1].num_steps and all(progress.step <= progress.num_steps for progress in heard)
 
 
@@ -164,7 +164,7 @@ def test_a_tile_that_no_view_shows_stays_and_the_others_are_fitted() -> None:
     shown = teacher_views([Teacher(splats=GROUND, cameras=west)], 96)
     tiles = tiles_of(given.means, west, 4)
     assert {len(tile.rows) == 0 for tile in tiles} == {True, False}
-    made = retrain_by_tiles(given, shown, TRAIN, replace(AGGREGATE, num_epochs=1), NATIVE, 4)
+    made = retrain_by_tiles(given, shown, TRAIN, replace(AGGREGATE, epochs=1), NATIVE, 4)
     unseen = ~reached_by(given, west)
     assert unseen.any() and not made.reached[unseen].any() and made.reached.any()
 
@@ -172,7 +172,7 @@ def test_a_tile_that_no_view_shows_stays_and_the_others_are_fitted() -> None:
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_fewer_gaussians_than_tiles_make_empty_ones(count: int) -> None:
     given = replace(GROUND.select(np.arange(count)), means=np.zeros((count, 3), np.float32))
-    made = retrain_by_tiles(given, views(), TRAIN, replace(AGGREGATE, num_epochs=1), NATIVE, 4)
+    made = retrain_by_tiles(given, views(), TRAIN, replace(AGGREGATE, epochs=1), NATIVE, 4)
     assert made.reached.all() and len(made.splats) == count and (made.trained.num_steps > 0) == (count > 0)
     assert most_fitted(given, CAMERAS, tiles_of(given.means, CAMERAS, 4)) == count
 
@@ -197,10 +197,11 @@ def test_centres_of_a_tile_move_in_the_units_of_all_views(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(tiles, "retrain", hear)
     shown, given = views(), worse()
-    for preset, limit in (("default", 0.5), ("paper", None)):
+    methods: tuple[tuple[JoinMethod, float | None], ...] = (("fade", 0.5), ("paper", None))
+    for method, limit in methods:
         heard.clear()
         train = replace(TRAIN, max_extent_per_distance=0.5)
-        retrain_by_tiles(given, shown, train, Join(preset=preset, num_epochs=1), NATIVE, 4)
+        retrain_by_tiles(given, shown, train, Join(method=method, epochs=1), NATIVE, 4)
         expected = working_extent(shown.cameras, given.select(reached_by(given, shown.cameras)), limit)
         assert len(heard) > 1 and {options.extent for options in heard} == {expected}
         assert (expected < camera_extent(shown.cameras)) == (limit is not None)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.config import Join, JoinMethod
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.seam_excess import MARGIN_DB, BorderError, SeamExcess, border_errors, excess_by_border, pooled_excess
@@ -157,7 +157,7 @@ def device_models() -> tuple[Splats, Splats]:
     return ground().model(WEST, 300), ground().model(EAST, 300)
 
 
-def joined(cloud: str) -> Splats:
+def joined(method: JoinMethod) -> Splats:
     """Both devices' models, joined by the cloud or cut at the border."""
     rows = (WEST, EAST)
     task = CloudTask(
@@ -166,7 +166,7 @@ def joined(cloud: str) -> Splats:
         sites=((-3.0, 0.0), (3.0, 0.0)),
         weights=(0.0, 0.0),
         train=TRAIN,
-        aggregate=replace(aggregate_preset("default"), cloud=cloud, cloud_epochs=NUM_EPOCHS),
+        join=Join(method=method, epochs=NUM_EPOCHS),
         backend="native",
     )
     edges = {name: EdgeModel(splats=device_models()[index], cameras=CAMERAS.select(rows[index])) for index, name in enumerate("01")}
@@ -176,7 +176,7 @@ def joined(cloud: str) -> Splats:
 
 
 def test_a_cut_is_found_a_joined_model_is_better_and_an_uncut_one_has_no_seam() -> None:
-    cut, join = ground().excess(joined("crop_merge")), ground().excess(joined("retrain"))
+    cut, join = ground().excess(joined("crop_merge")), ground().excess(joined("fade"))
     uncut = ground().excess(ground().model(WEST + EAST, 600))
     assert cut.has_seam
     assert uncut.has_seam is False

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import AggregateConfig, Join
 from radiant_core.hierarchy.messages import CloudTask, DeviceModel, EdgeModel, EdgeTask
 from radiant_core.splats import Splats
 from radiant_core.train.config import train_preset
 from tests.core.scenes import cameras_above, ground_splats
 
 TRAIN = replace(train_preset("draft"), num_steps=20, long_side_px=48, max_num_splats=400)
-AGGREGATE = AggregateConfig(cloud_epochs=1)
+AGGREGATE = AggregateConfig(cloud=Join(epochs=1)).joining_after(None)
 NAMES = ("a", "b", "c")
 MIDDLES = (-2.0, 0.0, 2.0)
 CAMERAS = tuple(cameras_above([(x, -1.0), (x, 1.0)]) for x in MIDDLES)
@@ -39,7 +39,7 @@ def edge_task(*devices: str, **changes: object) -> EdgeTask:
         num_dealt=(2,) * len(devices),
         strips=tuple(strips[name] for name in devices),
         train=TRAIN,
-        aggregate=AGGREGATE,
+        join=AGGREGATE.edge,
         backend="native",
     )
     return replace(task, **changes)
@@ -58,7 +58,7 @@ def cloud_task(*edges: str, **changes: object) -> CloudTask:
         sites=tuple((MIDDLES[NAMES.index(name)], 0.0) for name in edges),
         weights=(0.0,) * len(edges),
         train=TRAIN,
-        aggregate=AGGREGATE,
+        join=AGGREGATE.cloud,
         backend="native",
     )
     return replace(task, **changes)

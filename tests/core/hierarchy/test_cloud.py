@@ -8,19 +8,15 @@ import numpy as np
 import pytest
 
 from radiant_core.aggregate import join_memory
-from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.config import Join, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
-from radiant_core.aggregate.extend import NewRegion, extend_scene
 from radiant_core.aggregate.join_memory import plan_join_memory
-from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.errors import BadInput
 from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.join_limits import MACHINE_SHARE
-from radiant_core.hierarchy.messages import EdgeModel, Extension, SceneModel
+from radiant_core.hierarchy.messages import SceneModel
 from radiant_core.hierarchy.reporter import Machine, Recorder
 from radiant_core.plan.system import Cloud
-from radiant_core.train.trainer import FitOptions
-from tests.core.hierarchy.grounds import AGGREGATE, CAMERAS, MIDDLES, NAMES, cloud_task, edge_models, part
+from tests.core.hierarchy.grounds import CAMERAS, MIDDLES, NAMES, cloud_task, edge_models, part
 
 PAIR = {name: model for name, model in edge_models().items() if name != "c"}
 LEAST_BYTES = plan_join_memory([part(0), part(1)], CAMERAS[:2], 48, 1.0).needed_bytes
@@ -116,12 +112,12 @@ def test_a_lone_edges_model_is_not_said_to_be_joined_in_tiles(monkeypatch: pytes
 
 def test_the_papers_cloud_crops_where_its_memory_ends_and_knows_no_tiles() -> None:
     needed = plan_join_memory([part(0), part(1)], CAMERAS[:2], 48, np.inf).needed_bytes
-    cropped, reporter = joined(Cloud(memory_bytes=needed - 1), aggregate=replace(aggregate_preset("paper"), cloud_epochs=1))
+    cropped, reporter = joined(Cloud(memory_bytes=needed - 1), join=replace(aggregate_preset("paper").cloud, epochs=1))
     assert "num_dropped" in cropped.summary and "memory" in reporter.warnings[0]
 
 
 def test_settings_that_ask_for_crop_merge_get_it_without_any_choice() -> None:
-    scene, reporter = joined(Cloud(memory_bytes=1.0), aggregate=replace(AGGREGATE, cloud="crop_merge"))
+    scene, reporter = joined(Cloud(memory_bytes=1.0), join=Join(epochs=1, method="crop_merge"))
     merged = crop_merge([part(0), part(1)], np.array([[x, 0.0] for x in MIDDLES[:2]]), np.zeros(2))
     assert scene.splats is not None and not reporter.warnings
     np.testing.assert_array_equal(scene.splats.means, merged.means)
@@ -130,21 +126,21 @@ def test_settings_that_ask_for_crop_merge_get_it_without_any_choice() -> None:
 
 
 def test_the_papers_cloud_crops_where_its_limits_end() -> None:
-    paper = replace(aggregate_preset("paper"), cloud_epochs=1)
-    retrained, _ = joined(aggregate=paper)
+    paper = replace(aggregate_preset("paper").cloud, epochs=1)
+    retrained, _ = joined(join=paper)
     assert retrained.summary["num_steps"] == 4 and retrained.splats is not None and len(retrained.splats) == len(part(0)) + len(part(1))
-    cropped, reporter = joined(Cloud(max_cameras=3), aggregate=paper)
+    cropped, reporter = joined(Cloud(max_cameras=3), join=paper)
     assert "num_dropped" in cropped.summary and len(reporter.warnings) == 1
 
 
 def test_a_refused_edge_is_named_and_its_neighbour_keeps_its_own_region() -> None:
     models = {**edge_models(), "b": "its bytes are not those that were signed."}
     reporter = Recorder()
-    crop = replace(AGGREGATE, cloud="crop_merge")
-    scene = join_cloud(cloud_task(*NAMES, aggregate=crop), models, reporter)
+    crop = Join(epochs=1, method="crop_merge")
+    scene = join_cloud(cloud_task(*NAMES, join=crop), models, reporter)
     assert scene.refused == {"b": "its bytes are not those that were signed."} and scene.corrections["b"] is None
     assert reporter.warnings == ["the model of b is left out: its bytes are not those that were signed."]
-    without = join_cloud(cloud_task("a", "c", aggregate=crop), {name: models[name] for name in "ac"}, Recorder())
+    without = join_cloud(cloud_task("a", "c", join=crop), {name: models[name] for name in "ac"}, Recorder())
     assert scene.splats is not None and without.splats is not None
     np.testing.assert_array_equal(scene.splats.means, without.splats.means)
 
@@ -153,39 +149,3 @@ def test_a_refused_edge_is_named_and_its_neighbour_keeps_its_own_region() -> Non
 def test_a_cloud_that_gets_nothing_has_no_scene(names: tuple[str, ...]) -> None:
     scene = join_cloud(cloud_task(*names), dict.fromkeys(names, "nothing arrived."), Recorder())
     assert scene.splats is None and list(scene.refused) == list(names) and not scene.cut_for_memory
-
-
-EXTENSION = Extension(polygon=((0.0, -5.0), (5.0, -5.0), (5.0, 5.0), (0.0, 5.0)), margin_m=1.0)
-NO_CELLS = {"sites": (), "weights": (), "limits": None}
-
-
-def extended(models: dict[str, EdgeModel | str]) -> SceneModel:
-    """The standing scene of `a`, extended by the model of `b`."""
-    return join_cloud(cloud_task("a", "b", extends=EXTENSION, **NO_CELLS), models, Recorder(stage="extend"))
-
-
-def test_an_extension_is_a_join_that_admits_and_balances_nothing() -> None:
-    # As edges' models the two would be refused: colours out of bounds, which contradict the other.
-    standing = replace(part(0), sh0=np.full_like(part(0).sh0, 60.0))
-    scene = extended({"a": EdgeModel(splats=standing), "b": PAIR["b"]})
-    assert scene.splats is not None and scene.summary["num_kept"] > 50 and scene.summary["num_shown"] > 0
-    region = NewRegion(polygon=np.array(EXTENSION.polygon), margin_m=EXTENSION.margin_m)
-    kept = standing.select(region.inside_m(standing.means) < -1.0)
-    for name, array in kept.arrays().items():
-        assert np.array_equal(getattr(scene.splats.select(np.arange(len(kept))), name), array), name
-    task, new = cloud_task("a", "b"), Teacher(splats=part(1), cameras=CAMERAS[1])
-    alone = extend_scene(standing, new, region, task.train, task.aggregate.at_cloud, FitOptions(backend=task.backend))
-    for name, array in alone.splats.arrays().items():
-        assert np.array_equal(getattr(scene.splats, name), array), name
-    assert scene.summary == {"num_splats": len(alone.splats), **alone.counts()}
-
-
-def test_an_extension_by_a_model_that_the_transport_refuses_is_none() -> None:
-    scene = extended({"a": PAIR["a"], "b": "it is not signed."})
-    assert scene.splats is None and scene.refused == {"b": "it is not signed."}
-
-
-def test_an_extension_is_of_two_edges_and_has_no_cells() -> None:
-    for edges, changes in ((("a", "b"), {}), (("a", "b", "c"), NO_CELLS), (("a",), NO_CELLS)):
-        with pytest.raises(BadInput, match="give two edges and no cells"):
-            cloud_task(*edges, extends=EXTENSION, **changes)

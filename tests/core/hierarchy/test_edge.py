@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiant_core.aggregate import join_memory
-from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.config import EDGE_EPOCHS, Join, aggregate_preset
 from radiant_core.aggregate.join_memory import plan_join_memory
 from radiant_core.hierarchy.edge import join_edge
 from radiant_core.hierarchy.join_limits import MACHINE_SHARE
@@ -67,7 +67,7 @@ def test_a_lone_devices_model_passes_as_it_is_along_a_z_curve() -> None:
     assert_same(found.splats, part(0).select(morton_order(part(0).means)))
     assert choices(reporter, "retraining") == ["skipped"] and found.summary["num_steps"] == 0
     assert len(found.cameras) == 2, "the cloud renders what the model shows"
-    retrained = join_edge(edge_task("a", aggregate=replace(aggregate_preset("paper"), edge_epochs=1)), models, Recorder())
+    retrained = join_edge(edge_task("a", join=replace(aggregate_preset("paper").edge, epochs=1)), models, Recorder())
     assert retrained.summary["num_steps"] == 2
 
 
@@ -80,15 +80,15 @@ def test_virtual_cameras_follow_from_what_arrived_and_stand_where_no_device_stoo
     assert_same(found.splats, drawn.splats)
     assert (found.cameras.centers != drawn.cameras.centers).any()
     assert not np.isin(found.cameras.centers, [own.centers for own in CAMERAS]).any()
-    cropped = replace(AGGREGATE, cloud="crop_merge")
-    assert not len(join_edge(edge_task("a", aggregate=cropped), {"a": models["a"]}, Recorder()).cameras)
+    assert not len(join_edge(edge_task("a", draws_cameras=False), {"a": models["a"]}, Recorder()).cameras)
 
 
 def test_an_edge_shows_each_view_as_often_as_its_own_epochs_say_whatever_the_cloud_does() -> None:
     models = {name: device_models()[name] for name in "ab"}
-    for config in (AGGREGATE, replace(AGGREGATE, cloud="crop_merge"), replace(AGGREGATE, cloud_epochs=9)):
-        assert join_edge(edge_task("a", "b", aggregate=config), models, Recorder()).summary["num_steps"] == 4 * AGGREGATE.at_edge.num_epochs
-    thrice = join_edge(edge_task("a", "b", aggregate=replace(AGGREGATE, edge_epochs=3)), models, Recorder())
+    for draws_cameras in (True, False):
+        joined = join_edge(edge_task("a", "b", draws_cameras=draws_cameras), models, Recorder())
+        assert joined.summary["num_steps"] == 4 * EDGE_EPOCHS
+    thrice = join_edge(edge_task("a", "b", join=Join(epochs=3)), models, Recorder())
     assert thrice.summary["num_steps"] == 12
 
 
@@ -155,12 +155,12 @@ def test_what_exceeds_an_edges_memory_by_little_is_joined_in_tiles(monkeypatch: 
     assert choice.startswith("models are joined in ") and choice in warning and "raise memory_gb of this edge" in warning
     assert found.splats is not None and found.summary["num_steps"] > 0
     paper = Recorder()
-    config = replace(aggregate_preset("paper"), edge_epochs=1)
-    cut = join_edge(edge_task("a", "b", aggregate=config, memory_bytes=at_once - 1), models, paper)
+    join = replace(aggregate_preset("paper").edge, epochs=1)
+    cut = join_edge(edge_task("a", "b", join=join, memory_bytes=at_once - 1), models, paper)
     assert cut.summary["num_steps"] == 0 and choices(paper, "memory") == ["models are cut at their borders instead of retrained"]
 
 
 def test_no_field_of_the_config_is_needed_to_pass_a_lone_model() -> None:
-    for config in (AggregateConfig(), replace(AGGREGATE, edge_epochs=1), replace(AGGREGATE, cloud="crop_merge")):
-        found = join_edge(edge_task("c", aggregate=config), {"c": device_models()["c"]}, Recorder())
+    for join in (AGGREGATE.edge, Join(epochs=1)):
+        found = join_edge(edge_task("c", join=join), {"c": device_models()["c"]}, Recorder())
         assert found.splats is not None and len(found.splats) == len(part(2))

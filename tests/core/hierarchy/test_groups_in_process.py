@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiant_core.aggregate.config import AggregateConfig, Refine
+from radiant_core.aggregate.config import AggregateConfig, Join, Refine
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.frames import Frame
@@ -62,7 +62,7 @@ def recipe() -> Recipe:
         cloud_plan=cloud_plan,
         edge_plans=split_edges(CAMERAS.centers[:, :2], cloud_plan, system),
         train=replace(train_preset("draft"), num_steps=12, long_side_px=48, max_num_splats=500),
-        aggregate=AggregateConfig(cloud_epochs=1, edge_epochs=1, refine=Refine(epochs=1, rounds=1)),
+        aggregate=AggregateConfig(cloud=Join(epochs=1), edge=Join(epochs=1), refine=Refine(epochs=1, rounds=1)),
         backend="native",
         upload="float16",
     )

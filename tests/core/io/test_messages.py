@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.config import Join, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, FrameUncertainty
 from radiant_core.hierarchy.codec import (
@@ -38,7 +38,6 @@ from radiant_core.hierarchy.messages import (
     DeviceTask,
     EdgeModel,
     EdgeTask,
-    Extension,
     device_task,
 )
 from radiant_core.io.run_store import content_key, file_sha256, key_of_files
@@ -47,7 +46,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset, with_settings
 from tests.core.scenes import cameras_above, ground_splats
 
-TRAIN, AGGREGATE, LIMITS = train_preset("draft"), AggregateConfig(), Cloud(memory_bytes=1e9)
+TRAIN, JOIN, LIMITS = train_preset("draft"), Join(epochs=5), Cloud(memory_bytes=1e9)
 TRIANGLE = ((0.0, 1.0), (2.0, 3.0), (4.0, 5.0))
 DEVICE = DeviceSettings(train=TRAIN, backend="native", upload="float16", memory_bytes=2e9)
 EDGE = EdgeTask(
@@ -55,7 +54,7 @@ EDGE = EdgeTask(
     num_dealt=(2,),
     strips=(TRIANGLE,),
     train=TRAIN,
-    aggregate=AGGREGATE,
+    join=JOIN,
     backend="native",
 )
 CLOUD = CloudTask(
@@ -64,7 +63,7 @@ CLOUD = CloudTask(
     sites=((0.0, 1.0),),
     weights=(-3.5,),
     train=TRAIN,
-    aggregate=AGGREGATE,
+    join=JOIN,
     backend="native",
     limits=LIMITS,
     edge_times_s=(4.5,),
@@ -87,7 +86,7 @@ training = {
     "backend": st.sampled_from(["gsplat", "native", "reference"]),
     "checkpoint_every_s": positive,
 }
-aggregates = st.sampled_from([AggregateConfig(), aggregate_preset("paper"), AggregateConfig(cloud="crop_merge", max_num_steps=3)])
+joins = st.sampled_from([JOIN, aggregate_preset("paper").edge, Join(epochs=0, method="crop_merge", max_num_steps=3)])
 devices = st.builds(DeviceSettings, **training, upload=st.sampled_from(["float32", "float16", "spz"]), memory_bytes=st.none() | positive)
 
 
@@ -102,7 +101,7 @@ edges = st.integers(1, 4).flatmap(
         devices=of_each(count, ids),
         num_dealt=of_each(count, st.integers(0, 10**9)),
         strips=of_each(count, st.lists(pairs, max_size=4).map(tuple)),
-        aggregate=aggregates,
+        join=joins,
         memory_bytes=st.none() | positive,
     )
 )
@@ -114,7 +113,7 @@ cloud_tasks = st.integers(1, 4).flatmap(
         num_dealt=of_each(count, st.integers(0, 10**9)),
         sites=of_each(count, pairs),
         weights=of_each(count, finite),
-        aggregate=aggregates,
+        join=joins,
         limits=st.none() | clouds,
         edge_times_s=st.none() | of_each(count, finite),
     )
@@ -216,6 +215,9 @@ def test_the_dataclasses_own_sentences_are_passed_on() -> None:
         message_of(EdgeTask, {**record, "num_dealt": [1, 2]})
     with pytest.raises(BadInput, match="give one per edge"):
         message_of(CloudTask, {**message_record(CLOUD), "weights": []})
+    for task in (EDGE, CLOUD):
+        with pytest.raises(BadInput, match="says no epochs"):
+            replace(task, join=Join())
 
 
 OTHERS: dict[str, Any] = {
@@ -224,7 +226,8 @@ OTHERS: dict[str, Any] = {
     "checkpoint_every_s": 99.0,
     "upload": "spz",
     "memory_bytes": 3e9,
-    "aggregate": replace(AGGREGATE, cloud_epochs=9),
+    "join": replace(JOIN, epochs=9),
+    "draws_cameras": False,
     "limits": Cloud(),
     "edge_times_s": (5.5,),
     "cloud": None,
@@ -242,17 +245,10 @@ OTHERS: dict[str, Any] = {
 
 @named
 def test_what_changes_no_bit_stands_in_no_key_and_everything_else_does(task: Any) -> None:
-    names = {each.name for each in fields(task)} - {"extends"}
+    names = {each.name for each in fields(task)}
     unkeyed = {name for name in names if task_key(replace(task, **{name: OTHERS[name]})) == task_key(task)}
     assert unkeyed == {"checkpoint_every_s"}
     assert unkeyed.isdisjoint(task_key(task))
-
-
-@pytest.mark.parametrize("other", [{"margin_m": 2.0}, {"polygon": ((0.0, 0.0), (1.0, 0.0), (1.0, 2.0))}])
-def test_the_region_of_an_extension_stands_in_the_key(other: dict[str, Any]) -> None:
-    region = Extension(polygon=((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)), margin_m=1.0)
-    task = replace(CLOUD, edges=("standing", "new"), num_dealt=(1, 1), sites=(), weights=(), edge_times_s=None, extends=region)
-    assert task_key(replace(task, extends=replace(region, **other))) != task_key(task)
 
 
 def ground_scene() -> SfmScene:

@@ -8,16 +8,16 @@ from collections.abc import Sequence
 from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QDockWidget
 
-from radiant_viewer.editing.edited_plan import EditedPlan
-from radiant_viewer.editing.load_dock import LoadDock
-from radiant_viewer.editing.map_tools import MapTools
-from radiant_viewer.editing.plan_actions import COMPARED, NO_SYSTEM, PlanActions
-from radiant_viewer.editing.plan_difference import plan_difference
-from radiant_viewer.editing.plan_dock import PlanDock
-from radiant_viewer.editing.plan_files import PlanSetting
-from radiant_viewer.editing.plan_layers import edited_layers
-from radiant_viewer.editing.plan_report import ComparedRow, load_rows
-from radiant_viewer.editing.plan_session import PlanSession
+from radiant_viewer.editing.dock.load_dock import LoadDock
+from radiant_viewer.editing.dock.plan_dock import PlanDock
+from radiant_viewer.editing.model.edited_plan import EditedPlan
+from radiant_viewer.editing.model.plan_difference import plan_difference
+from radiant_viewer.editing.model.plan_report import ComparedRow, load_rows
+from radiant_viewer.editing.solver.plan_session import PlanSession
+from radiant_viewer.editing.store.plan_files import PlanSetting
+from radiant_viewer.editing.tools.map_tools import MapTools
+from radiant_viewer.editing.tools.plan_actions import COMPARED, NO_SYSTEM, PlanActions
+from radiant_viewer.editing.tools.plan_layers import edited_layers
 from radiant_viewer.host.protocols import PlanHost
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.runs.run_view import RunView

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
 
     from radiant_core.scene import SfmScene
-    from radiant_viewer.editing.plan_files import PlanSetting
+    from radiant_viewer.editing.store.plan_files import PlanSetting
     from radiant_viewer.layers.themes import ThemeName
     from radiant_viewer.start.start_feeds import StartFeeds
     from radiant_viewer.window.waiting_window import WaitingWindow

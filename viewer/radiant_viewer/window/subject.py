@@ -13,7 +13,7 @@ from radiant_core.geometry.cleaning import Surroundings
 from radiant_core.io.model_reader import model_kind
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_viewer.editing.plan_layers import add_planning_layers
+from radiant_viewer.editing.tools.plan_layers import add_planning_layers
 from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.ortho_layer import ortho_layer
 from radiant_viewer.layers.splat_layer import splat_layer

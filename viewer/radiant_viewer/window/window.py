@@ -22,8 +22,8 @@ from PySide6.QtWidgets import QApplication, QDockWidget, QFileDialog, QMainWindo
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.numerics import FloatArray
 from radiant_viewer.docks.layer_dock import LayerDock
-from radiant_viewer.editing.plan_files import PlanSetting
 from radiant_viewer.editing.planning import make_planning
+from radiant_viewer.editing.store.plan_files import PlanSetting
 from radiant_viewer.host.canvas import FIT_ANGLE_DEG, Canvas
 from radiant_viewer.host.marks import Marks
 from radiant_viewer.layers.camera_layer import highlight_layer

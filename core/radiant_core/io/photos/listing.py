@@ -200,12 +200,6 @@ def _no_photographs(folder: Path, content: FolderContent) -> BadInput:
     return BadInput(f"{folder} contains no photographs ({', '.join(SUFFIXES)}){unread_note}: {where}.{closed}")
 
 
-def unread_files(folder: Path) -> dict[str, int]:
-    """How many files of each kind in `folder` and below hold photographs or films that are not
-    read."""
-    return dict(read_folder(folder).unread)
-
-
 def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, tuple[float, float, float] | None]:
     """GPS (degrees, degrees, metres or NaN) or None of the photographs in `folder`, by sorted name;
     raises as `photograph_heads`."""

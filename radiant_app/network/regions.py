@@ -5,7 +5,7 @@
                     edges/<id>/          the edge's own join, as in a run on one machine
                     cloud/               the scene, where it is refined, as it came last
 
-The same `Dealer` and `Scoring` deal as in a run on one machine; the edge signs its
+The same `Folding`, `Dealer` and `Scoring` work as in a run on one machine; the edge signs its
 devices' tasks by its own key, and nobody else's is here.
 """
 
@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import shutil
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,10 +24,9 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from radiant_app.config.run_config import EvaluateOptions, RunConfig
 from radiant_app.events import Event, Warned
-from radiant_app.executors.fold import Deadlines, RetryPolicy
+from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import worker_command
-from radiant_app.executors.protocol import NodeTask, NodeTime
-from radiant_app.files.run_folder import Manifest
+from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_app.files.system_file import load_system
 from radiant_app.network.contents import MAX_REASON_CHARS, check_count, check_frame, check_raster, check_summary
 from radiant_app.network.executor import NetworkExecutor
@@ -44,10 +44,13 @@ from radiant_app.network.messages import (
     EdgeScoreTask,
     RegionTask,
 )
+from radiant_app.run.conducting import Folding
 from radiant_app.run.dealing import Dealer, Refining, deal_files
+from radiant_app.run.photographs import Photographs
 from radiant_app.run.refining import left_out_of
 from radiant_app.run.refining_deadlines import RefiningDeadlines, expected_times
 from radiant_app.run.scoring import Scoring, ScoringMachine
+from radiant_app.run.source import Plan
 from radiant_app.run.stages import ATTEMPTS
 from radiant_app.run.time_left import TimeLeftListener
 from radiant_app.workers.delivering import identify_owned, register_sender, use_run_number
@@ -74,7 +77,7 @@ from radiant_core.hierarchy.codec import (
     sent_files,
     task_key,
 )
-from radiant_core.hierarchy.messages import DeviceSettings
+from radiant_core.hierarchy.messages import DeviceSettings, Training
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
@@ -85,6 +88,7 @@ from radiant_core.plan.timeline.prediction import planned_stages
 
 REQUESTS, TIMES_NAME = "asked", "times.json"
 COUNTED = {"edge_count": ("count", "count.json"), "edge_raster": ("raster", "raster.json")}
+ALL_MAY_FAIL = RetryPolicy(may_fail=lambda node, error: True)
 NOTHING_SENT = "nothing was heard of it in time, or it could not do what was asked; the messages of its edge say how."
 
 
@@ -168,16 +172,36 @@ class EdgeRun:
     def _request_folder(self, kind: str) -> Path:
         return self.folder / REQUESTS / kind
 
-    def _executor(self, deadlines: Deadlines | None = None, *, joins: bool = False) -> NetworkExecutor:
-        """`joins`: the edge's own part must not fail."""
-        policy = RetryPolicy(may_fail=lambda node, error: node.tier == "device" or not joins, max_attempts=ATTEMPTS, deadlines=deadlines)
+    # As `Conductor`
+
+    def make_dealer(self, recipe: Recipe, source: Photographs) -> Dealer:
+        """Its devices have keys of their own, and tasks the edge's."""
+        return Dealer(run=self.folder, recipe=recipe, photographs=source, conductor=self.edge, exchange=self._exchange_keys)
+
+    def num_workers(self, plan: Plan, tree: Tree) -> int:
+        """All at once, on whatever cores they have."""
+        del plan
+        return sum(1 for _ in tree)
+
+    def preparing(self, dealer: Dealer) -> Prepare:
+        """As it is dealt."""
+        return dealer.prepare
+
+    def refining_deadlines(self, dealer: Dealer, tree: Tree, times: Mapping[str, Mapping[str, float]]) -> RefiningDeadlines:
+        """By what its devices took before."""
+        return RefiningDeadlines(expected_s=expected_times(dealer, tree, times), deadline_factor=self.region.deadline_factor)
+
+    def make_executor(self, plan: Plan | None, clock: Callable[[], float], retry_policy: RetryPolicy) -> NetworkExecutor:
+        """Runs leaves at its devices, whatever the plan."""
+        del plan
         expected = self._expected_s
         return NetworkExecutor(
             hub=self.hub,
             run=self.number,
             lease_s=lambda node_id: expected.get(refines_for(node_id), 0.0),
             command=self.command,
-            retry_policy=policy,
+            clock=clock,
+            retry_policy=replace(retry_policy, max_attempts=ATTEMPTS),
             stopping=self.stopping,
             num_threads=self.num_threads,
             is_far=lambda node: node.tier == "device",
@@ -213,31 +237,31 @@ class EdgeRun:
             return NodeTask(kind=node_kind, stage=node.id, folder=folder, key=keys[node.id])
 
         nodes = tuple(Tree(id=f"devices/{device}/{node_kind}", tier="device") for device in task.devices)
-        self._executor().fold(Tree(id=node_kind, tier="edge", children=nodes), prepare, self.emit)
+        executor = self.make_executor(None, time.monotonic, ALL_MAY_FAIL)
+        executor.fold(Tree(id=node_kind, tier="edge", children=nodes), prepare, self.emit)
         finished = [node.id.split("/")[1] for node in nodes if is_sealed(self.folder / node.id, keys[node.id])]
         readers: Mapping[str, Callable[[Any], Any]] = {"count": check_count, "raster": check_raster}
         counts = {device: readers[node_kind](read_json(self.folder / "devices" / device / node_kind / name)) for device in finished}
         records = {device: one.record if isinstance(one, Raster) else {"num_photographs": one} for device, one in counts.items()}
         return DevicesReport(found=records, missing={device: NOTHING_SENT for device in task.devices if device not in records})
 
-    def _dealer(self, task: RegionTask) -> Dealer:
+    def _folding(self, task: RegionTask) -> Folding:
         request_folder = self._request_folder("region")
         cloud, edges = load_plan(request_folder / PLAN_NAME)
         recipe = Recipe(
             system=load_system(request_folder / SYSTEM_NAME),
             cloud_plan=cloud,
             edge_plans=edges,
-            train=task.train,
+            **{item.name: getattr(task, item.name) for item in fields(Training)},
             aggregate=task.aggregate,
-            backend=task.backend,
             upload=task.upload,
-            checkpoint_every_s=task.checkpoint_every_s,
             num_devices=task.num_devices,
             step_policy=task.step_policy,
             num_photographs=task.num_photographs,
         )
-        photographs = FarPhotographs(task=task)
-        return Dealer(run=self.folder, recipe=recipe, photographs=photographs, conductor=self.edge, exchange=self._exchange_keys)
+        plan = Plan(system=recipe.system, cloud=cloud, edges=edges)
+        dealer = self.make_dealer(recipe, FarPhotographs(task=task))
+        return Folding(dealer=dealer, conductor=self, plan=plan, clock=time.monotonic)
 
     @cached_property
     def region(self) -> RegionTask:
@@ -256,19 +280,21 @@ class EdgeRun:
 
     def _join(self, task: RegionTask) -> tuple[DevicesReport, dict[str, Path]]:
         """Fold the devices and join their models."""
-        dealer = self._dealer(task)
+        folding = self._folding(task)
+        dealer = folding.dealer
         nodes = tuple(Tree(id=f"devices/{device}", tier="device") for device in task.devices)
         tree = Tree(id=self.edge, tier="edge", children=nodes)
         listen = TimeLeftListener(
             listen=self.emit,
             system=dealer.recipe.system,
             edge_plans=dealer.recipe.edge_plans,
-            num_workers=len(nodes),
+            num_workers=self.num_workers(folding.plan, tree),
             emulated=False,
             deadline_factor=task.deadline_factor,
         )
-        times = self._executor(listen, joins=True).fold(tree, dealer.prepare, listen)
-        self._keep_times(times)
+        # The edge's own part must not fail.
+        policy = RetryPolicy(may_fail=lambda node, error: node.tier == "device", deadlines=listen)
+        self._keep_times(folding.fold(tree, folding.make_executor(policy), listen))
         edge_folder = self.folder / self.edge
         refused = read_json(edge_folder / REFUSED_NAME) if dealer.is_done(self.edge) else {}
         records, missing = {}, {}
@@ -317,15 +343,13 @@ class EdgeRun:
         deal_files(request_folder, [SCENE_NAME], cloud)
         write_json(cloud / SUMMARY_NAME, {"num_splats": len(load_ply(cloud / SCENE_NAME))})
         name = self.edge.split("/")[1]
-        dealer = self._dealer(self.region)
+        folding = self._folding(self.region)
+        dealer = folding.dealer
         self._exchange_keys()
         dealer.refining = Refining(run=self.folder, devices={name: devices}, moves=moves, joined=task.joined)
-        round_tree = tree_of_round(dealer.refining.devices, task.number)
-        (tree,) = round_tree.children
+        (tree,) = tree_of_round(dealer.refining.devices, task.number).children
         times = read_json(self.folder / TIMES_NAME) if (self.folder / TIMES_NAME).is_file() else {}
-        expected = expected_times(dealer, round_tree, Manifest(folder=self.folder, config={}, stages=times))
-        deadlines = RefiningDeadlines(expected_s=expected, deadline_factor=self.region.deadline_factor)
-        self._executor(deadlines).fold(tree, dealer.prepare, self.emit)
+        folding.fold_round(tree, times, self.emit)
         left_out = left_out_of(dealer, tree)
         records: dict[str, dict[str, Any]] = {device: {} for device in devices if device not in left_out}
         result_folder = self.folder / tree.id
@@ -337,7 +361,7 @@ class EdgeRun:
         """Let devices score the finished scene; their figures."""
         moves, request_folder = self._moves(task.to_cloud), self._request_folder("edge_score")
         devices = self._own_devices(task.devices, moves)
-        dealer = self._dealer(self.region)
+        folding = self._folding(self.region)
         self._exchange_keys()
         shutil.copyfile(request_folder / PLAN_NAME, self.folder / PLAN_NAME)
         evaluate = EvaluateOptions()
@@ -358,7 +382,7 @@ class EdgeRun:
             name: request_folder / (version_file(name) if index else SCENE_NAME) for index, name in enumerate(names)
         }
         config = RunConfig(source=self.folder, out=self.folder, frames=self.region.frames, evaluate=evaluate)
-        scoring = Scoring(config=config, recipe=dealer.recipe, machines=machines, scenes=scenes)
+        scoring = Scoring(config=config, recipe=folding.dealer.recipe, machines=machines, scenes=scenes)
         reasons: dict[str, str] = {}
 
         def listen(event: Event) -> None:
@@ -368,7 +392,7 @@ class EdgeRun:
                 reasons[event.stage] = event.message[:MAX_REASON_CHARS]
             self.emit(event)
 
-        folders = scoring.fold(self._executor(), listen)
+        folders = scoring.fold(folding.make_executor(ALL_MAY_FAIL), listen)
         records = {folder.parent.name: read_scores(folder / SCORES_NAME).record for folder in folders}
         reason_of = {device: reasons.get(f"devices/{device}/score", NOTHING_SENT) for device in devices}
         return DevicesReport(found=records, missing={device: reason for device, reason in reason_of.items() if device not in records})

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,11 +27,11 @@ from radiant_app.executors.protocol import NodeTask, Prepare
 from radiant_app.files.system_file import dump_system
 from radiant_app.network.contents import DeviceRecord, OpenedReport, open_report
 from radiant_app.network.executor import NetworkExecutor
+from radiant_app.network.far_devices import FarDevices, may_fail
 from radiant_app.network.hub import Hub
 from radiant_app.network.kinds import NOTES_NAME, REPORT_NAME, remove_earlier
 from radiant_app.network.messages import PLAN_NAME, SCENE_NAME, SYSTEM_NAME, EdgeRefineTask, RegionTask
 from radiant_app.run.dealing import Dealer
-from radiant_app.run.far_devices import FarDevices, may_fail
 from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import lpips_network_of, regions_alone
 from radiant_app.run.source import Plan, Source
@@ -82,17 +82,14 @@ class OwnersMachines:
         del plan
         return sum(1 for _ in tree)
 
-    def make_executor(self, plan: Plan, progress: Progress, retry_policy: RetryPolicy) -> NetworkExecutor:
+    def make_executor(self, plan: Plan | None, clock: Callable[[], float], retry_policy: RetryPolicy) -> NetworkExecutor:
         """Runs leaves at the edges, whatever the plan."""
         del plan
-        return self._executor(progress, retry_policy)
-
-    def _executor(self, progress: Progress, retry_policy: RetryPolicy) -> NetworkExecutor:
         return NetworkExecutor(
             hub=self.hub,
             run=run_number(self.folder),
             lease_s=lambda node_id: self.expected_s.get(refines_for(node_id), 0.0),
-            clock=progress.clock,
+            clock=clock,
             command=worker_command,
             retry_policy=replace(retry_policy, max_attempts=ATTEMPTS),
             num_threads=os.cpu_count() or 1,
@@ -115,7 +112,7 @@ class OwnersMachines:
 
         return prepare
 
-    def refining_deadlines(self, dealer: Dealer, tree: Tree, progress: Progress) -> None:
+    def refining_deadlines(self, dealer: Dealer, tree: Tree, times: Mapping[str, Mapping[str, float]]) -> None:
         """None: edges keep the deadlines of their devices, and a lease those of edges."""
 
     def _exchange_keys(self, recipe: Recipe) -> None:
@@ -148,7 +145,8 @@ class OwnersMachines:
             return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
 
         nodes = tuple(Tree(id=f"edges/{edge}/{name}", tier="edge") for edge in tasks)
-        self._executor(progress, RetryPolicy(may_fail=may_fail)).fold(Tree(id=name, tier="cloud", children=nodes), prepare, progress.listen)
+        executor = self.make_executor(None, progress.clock, RetryPolicy(may_fail=may_fail))
+        executor.fold(Tree(id=name, tier="cloud", children=nodes), prepare, progress.listen)
         records: dict[str, dict[str, Any]] = {}
         missing: dict[str, str] = {}
         for edge, task in tasks.items():
@@ -183,9 +181,7 @@ class OwnersMachines:
         names = tuple(device.name for device in edge.children)
         assert self.config.frames != "shared"
         task = RegionTask(
-            train=recipe.train,
-            backend=recipe.backend,
-            checkpoint_every_s=recipe.checkpoint_every_s,
+            **recipe.common,
             frames=self.config.frames,
             devices=names,
             first_held_out=tuple(map(devices.first_held_out, names)),

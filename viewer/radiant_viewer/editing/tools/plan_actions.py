@@ -15,13 +15,13 @@ from PySide6.QtWidgets import QFileDialog
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_viewer.editing.plan_difference import PlanDifference, plan_difference
-from radiant_viewer.editing.plan_editor import PlanEditor
-from radiant_viewer.editing.plan_edits import AddDevice, AddEdge, Edit, PinCameras, RemoveDevice, SetSlack
-from radiant_viewer.editing.plan_files import PlanSetting, load_other_plan, plan_subject, save_edited_plan, save_plan_geojson
-from radiant_viewer.editing.plan_layers import edited_roles, scene_footprints
-from radiant_viewer.editing.plan_report import compare_figures
-from radiant_viewer.editing.plan_session import PlanSession
+from radiant_viewer.editing.model.plan_difference import PlanDifference, plan_difference
+from radiant_viewer.editing.model.plan_edits import AddDevice, AddEdge, Edit, PinCameras, RemoveDevice, SetSlack
+from radiant_viewer.editing.model.plan_report import compare_figures
+from radiant_viewer.editing.solver.plan_editor import PlanEditor
+from radiant_viewer.editing.solver.plan_session import PlanSession
+from radiant_viewer.editing.store.plan_files import PlanSetting, load_other_plan, plan_subject, save_edited_plan, save_plan_geojson
+from radiant_viewer.editing.tools.plan_layers import edited_roles, scene_footprints
 from radiant_viewer.host.protocols import PlanHost
 from radiant_viewer.layers.change_layer import selection_layer
 from radiant_viewer.layers.layer import at_height, outline_segments

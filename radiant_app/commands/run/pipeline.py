@@ -22,13 +22,13 @@ from radiant_app.executors.fork_server import keep_servers
 from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.files.event_file import EventFile
 from radiant_app.files.run_folder import Manifest, open_run
+from radiant_app.network.far_devices import FarDevices
 from radiant_app.network.home import open_home, require_cloud
 from radiant_app.network.serving import require_network
 from radiant_app.report.ground_control import placing_of_run, survey_of_run
 from radiant_app.report.prediction_error import prediction_of
 from radiant_app.run.conducting import conduct
 from radiant_app.run.dealing import deal_files
-from radiant_app.run.far_devices import FarDevices
 from radiant_app.run.foreseen import foresee, slowdown
 from radiant_app.run.here import Here
 from radiant_app.run.on_devices import DevicePhotographs
@@ -61,7 +61,7 @@ from radiant_core.plan.system import System
 from radiant_core.splats import Splats
 
 if TYPE_CHECKING:
-    from radiant_app.run.over_network import OwnersMachines
+    from radiant_app.network.cloud import OwnersMachines
 
 NO_MODES = (
     "the disk of {out} keeps no access rights (NTFS, exFAT, a network drive?): whoever can read it can read the keys that this run signs "
@@ -99,6 +99,8 @@ def run(
 ) -> RunResult:
     """Run everything in `config.out`; finished stages are skipped with `resume`.
 
+    Use it to divide a scene among machines, or among processes of this one, with a report.
+
     Args:
         config: what is asked for.
         listen: receives every event of the run as it happens.
@@ -111,6 +113,11 @@ def run(
     Raises:
         BadInput: unusable input, in one sentence; nothing stays behind.
         StageFailed: a stage ended without its result; finished ones stay and can be resumed.
+
+    Example:
+        >>> config = radiant.RunConfig(source=Path("PHOTOGRAPHS"), out=Path("RUN"))
+        >>> result = radiant.run(config)  # doctest: +SKIP
+        >>> radiant.save_splats(result.load_splats(), "scene.spz")  # doctest: +SKIP
     """
     from radiant_app.report.html import write_report
 
@@ -166,8 +173,8 @@ def _owners(config: RunConfig) -> Iterator[OwnersMachines | None]:
     if config.execution.executor != "network":
         yield None
         return
+    from radiant_app.network.cloud import OwnersMachines
     from radiant_app.network.hub import open_hub
-    from radiant_app.run.over_network import OwnersMachines
 
     with open_home(config.source).lock(), open_hub(open_home(config.source)) as hub:
         yield OwnersMachines(config=config, hub=hub)

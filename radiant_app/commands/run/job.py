@@ -1,4 +1,5 @@
-"""The process of one job of a batch: `python -m radiant_app.run.job run FOLDER STAGE KEY`."""
+"""The process of one job of a batch: `python -m radiant_app.commands.run.job run FOLDER STAGE
+KEY`."""
 
 from __future__ import annotations
 
@@ -6,10 +7,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from radiant_app.commands.run.pipeline import run
 from radiant_app.config.fields import config_of, values_of
 from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals
 from radiant_app.reporting import EventReporter
-from radiant_app.run.pipeline import run
 from radiant_app.workers.tasks import JobTask
 from radiant_app.workers.worker import end_process, main
 

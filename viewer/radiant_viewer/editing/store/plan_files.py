@@ -27,8 +27,8 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
-from radiant_viewer.editing.edited_plan import EditedPlan, PlanSubject
-from radiant_viewer.editing.plan_edits import AdoptPlan
+from radiant_viewer.editing.model.edited_plan import EditedPlan, PlanSubject
+from radiant_viewer.editing.model.plan_edits import AdoptPlan
 from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
 

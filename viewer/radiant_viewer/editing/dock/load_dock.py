@@ -8,7 +8,7 @@ from PySide6.QtCore import QModelIndex, QPersistentModelIndex, QRect, QSignalBlo
 from PySide6.QtGui import QColor, QPainter
 from PySide6.QtWidgets import QDockWidget, QHeaderView, QStyledItemDelegate, QStyleOptionViewItem, QTreeWidget, QTreeWidgetItem
 
-from radiant_viewer.editing.plan_report import LoadRow
+from radiant_viewer.editing.model.plan_report import LoadRow
 from radiant_viewer.layers.palette import category_colors, tint
 from radiant_viewer.layers.region_layer import duration_text
 from radiant_viewer.runs.words import tip

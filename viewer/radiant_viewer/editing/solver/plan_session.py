@@ -13,9 +13,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from PySide6.QtCore import QObject, Signal
 
 from radiant_core.errors import BadInput
-from radiant_viewer.editing.edited_plan import EditedPlan
-from radiant_viewer.editing.plan_editor import PlanEditor
-from radiant_viewer.editing.plan_edits import Edit, apply_edit
+from radiant_viewer.editing.model.edited_plan import EditedPlan
+from radiant_viewer.editing.model.plan_edits import Edit, apply_edit
+from radiant_viewer.editing.solver.plan_editor import PlanEditor
 
 
 class PlanSession(QObject):

@@ -15,11 +15,10 @@ from pathlib import Path
 from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
-from radiant_viewer.editing.edit_file import EditFile
-from radiant_viewer.editing.edit_log import EditHistory, plan_key
-from radiant_viewer.editing.edited_plan import EditedPlan, PlanSubject, add_strips, initial_plan
-from radiant_viewer.editing.plan_difference import PlanDifference, plan_difference
-from radiant_viewer.editing.plan_edits import Edit, apply_edit
+from radiant_viewer.editing.model.edited_plan import EditedPlan, PlanSubject, add_strips, initial_plan
+from radiant_viewer.editing.model.plan_difference import PlanDifference, plan_difference
+from radiant_viewer.editing.model.plan_edits import Edit, apply_edit
+from radiant_viewer.editing.store.edit_file import EditFile, EditHistory, plan_key
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

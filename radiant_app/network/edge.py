@@ -16,7 +16,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.network.errands import Outcome
 from radiant_app.network.hub import Hub
 from radiant_app.network.messages import EDGE_TASKS
-from radiant_app.nodes.regions import REQUESTS, EdgeRun
+from radiant_app.network.regions import REQUESTS, EdgeRun
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.hierarchy.codec import load_task
 from radiant_core.io.transport.envelope import Envelope

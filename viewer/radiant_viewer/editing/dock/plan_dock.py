@@ -26,10 +26,10 @@ from PySide6.QtWidgets import (
 )
 
 from radiant_core.plan.plans import CloudPlan
-from radiant_viewer.editing.edited_plan import EditedPlan
-from radiant_viewer.editing.plan_actions import PlanActions
-from radiant_viewer.editing.plan_edits import FreeRegion, LockRegion, ReleaseAll, RemoveEdge
-from radiant_viewer.editing.plan_report import ComparedRow, certificate_text, headline
+from radiant_viewer.editing.model.edited_plan import EditedPlan
+from radiant_viewer.editing.model.plan_edits import FreeRegion, LockRegion, ReleaseAll, RemoveEdge
+from radiant_viewer.editing.model.plan_report import ComparedRow, certificate_text, headline
+from radiant_viewer.editing.tools.plan_actions import PlanActions
 from radiant_viewer.runs.words import tip as meanings
 
 FILTER_TIP = """Conditions joined by "and": psnr < 22 and region = north

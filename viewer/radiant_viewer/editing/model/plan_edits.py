@@ -23,7 +23,7 @@ from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.system import Edge, System
-from radiant_viewer.editing.edited_plan import (
+from radiant_viewer.editing.model.edited_plan import (
     EditedPlan,
     PlanSubject,
     PlanWishes,

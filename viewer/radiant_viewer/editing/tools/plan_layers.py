@@ -8,7 +8,7 @@ from radiant_core.errors import BadInput
 from radiant_core.plan.borders.footprints import Footprints, ground_footprints, views_of_cameras
 from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.scene import SfmScene
-from radiant_viewer.editing.edited_plan import EditedPlan, PlanSubject
+from radiant_viewer.editing.model.edited_plan import EditedPlan, PlanSubject
 from radiant_viewer.layers.camera_layer import camera_layer
 from radiant_viewer.layers.camera_roles import CameraRoles, camera_roles
 from radiant_viewer.layers.change_layer import changed_layer, constraint_layer

@@ -21,9 +21,9 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.borders import Border, shared_borders
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.constraints import PlanConstraints
-from radiant_viewer.editing.edited_plan import border_weight_m2
-from radiant_viewer.editing.plan_actions import PlanActions
-from radiant_viewer.editing.plan_edits import Edit, FixWeight, MoveEdge
+from radiant_viewer.editing.model.edited_plan import border_weight_m2
+from radiant_viewer.editing.model.plan_edits import Edit, FixWeight, MoveEdge
+from radiant_viewer.editing.tools.plan_actions import PlanActions
 
 EDGE_PX, BORDER_PX = 12, 7
 """Largest distance of a press from an edge or a border."""

@@ -1,0 +1,1 @@
+"""The docks in which a plan is changed and its loads are shown."""

@@ -1,0 +1,1 @@
+"""What solves edits: with undo, and on a thread beside the window."""
