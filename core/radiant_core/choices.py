@@ -63,6 +63,9 @@ View = Literal["regions", "cameras", "seams", "splats", "compare"]
 """What the picture of a run shows."""
 Viewer = Literal["radiant", "open3d"]
 """radiant: our own window and pictures; open3d: Open3D's, with the same layers."""
+Painter = Literal["radiant", "vtk", "open3d"]
+"""Of the model in the window. radiant: our renderer; vtk: VTK's Gaussians; open3d: Open3D's scene;
+by default ours, unless a graphics card makes another faster."""
 LightMode = Literal["auto", "none", "always"]
 """auto: the light of photographs is modelled where it differs; none, always: never or anyhow."""
 Heights = Literal["takeoff", "absolute"]

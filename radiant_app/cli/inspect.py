@@ -10,7 +10,7 @@ import typer
 from radiant_app.cli.config_options import typed_options
 from radiant_app.cli.option_types import SizeOption
 from radiant_app.quantities import size_wh_of
-from radiant_core.choices import View, Viewer
+from radiant_core.choices import Painter, View, Viewer
 from radiant_core.errors import BadInput
 
 _INSPECTED_HELP = (
@@ -42,6 +42,13 @@ def inspect(
     ] = None,
     scene: Annotated[Path | None, typer.Option(help="Scene of a plan that was not made from waypoints.", rich_help_panel=_PLAN)] = None,
     viewer: Annotated[Viewer, typer.Option(help="open3d: Open3D's own window or picture, with the same layers.")] = "radiant",
+    painter: Annotated[
+        Painter | None,
+        typer.Option(
+            help="Who draws the model in the window: radiant, our renderer; vtk or open3d, with a graphics card.",
+            show_default="ours, unless another is measured to be faster with the same picture",
+        ),
+    ] = None,
     page: Annotated[bool, typer.Option("--page", help=_PAGE_HELP, rich_help_panel=_BROWSER)] = False,
     web: Annotated[bool, typer.Option("--web", help=_WEB_HELP, rich_help_panel=_BROWSER)] = False,
     host: Annotated[
@@ -72,12 +79,14 @@ def inspect(
         return _start(typed_options(context), port)
     if (served := _served_as(typed_options(context))) is not None:
         return _serve(served, run_folder, host, port)
+    if painter is not None and (screenshot is not None or viewer != "radiant"):
+        raise BadInput("--painter is for the window: leave it out beside --screenshot and --viewer open3d.")
     from radiant_app.commands.inspect.window import Picture, inspect_with_open3d, open_inspector, save_picture
 
     if viewer == "open3d":
         raise typer.Exit(inspect_with_open3d(run_folder, view, screenshot, Picture(size_wh=size_wh_of(size), camera=camera, scene=scene)))
     if screenshot is None:
-        raise typer.Exit(open_inspector(run_folder, system, scene))
+        raise typer.Exit(open_inspector(run_folder, system, scene, painter))
     typer.echo(save_picture(run_folder, view, screenshot, Picture(size_wh=size_wh_of(size), camera=camera, scene=scene)))
     return None
 

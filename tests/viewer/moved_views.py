@@ -1,5 +1,5 @@
 """Random ways of moving the views of the real window, after each of which layers and model must
-agree: `python -m tests.viewer.moved_views RUN SEED NUMBER`, under an X server.
+agree: `python -m tests.viewer.moved_views RUN SEED NUMBER [PAINTER]`, under an X server.
 
 Beside the corners of the regions the run's model has bright balls (`with_beacons`), and the window gets
 marks as a layer. Both are looked for on the screen, where the view's own camera has them: within
@@ -22,6 +22,7 @@ from PySide6.QtGui import QAction, QImage, QKeySequence, QWheelEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
+from radiant_core.choices import Painter
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.pictures.images import save_png
@@ -291,9 +292,9 @@ def act(window: InspectorWindow, town: Town, seed: int, number: int) -> None:
     print(json.dumps({"seen": watcher.num_seen, "worst_px": round(watcher.worst_px, 2)}))
 
 
-def main(run: str, seed: str, number: str) -> None:
+def main(run: str, seed: str, number: str, *painter: Painter) -> None:
     """Open the window of a run that `with_beacons` made, and move its views."""
-    use_window(Path(run), lambda window: act(window, made_up_town(), int(seed), int(number)))
+    use_window(Path(run), lambda window: act(window, made_up_town(), int(seed), int(number)), *painter)
 
 
 if __name__ == "__main__":

@@ -13,11 +13,11 @@ from tests.viewer.made_up_run import made_up_town, save_run
 from tests.viewer.window_kit import run_python, virtual_display
 
 
-def move(folder: Path, screen: str, seed: int, number: int, scale: int = 1) -> dict[str, float]:
+def move(folder: Path, screen: str, seed: int, number: int, scale: int = 1, painter: str = "") -> dict[str, float]:
     """Move the window's views so often on a screen: what was seen, or the window's own assertion."""
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
     save_run(folder / "run", with_beacons(made_up_town()))
-    arguments = (str(folder / "run"), str(seed), str(number))
+    arguments = (str(folder / "run"), str(seed), str(number), *([painter] if painter else []))
     with virtual_display(screen) as display:
         environment = {"DISPLAY": display, "QT_QPA_PLATFORM": "xcb", "QT_SCALE_FACTOR": str(scale)}
         result = run_python(["-m", "tests.viewer.moved_views"], *arguments, patience_s=60 + 6 * number, **environment)

@@ -17,6 +17,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit, QTabBar, QWidget
 
 from radiant_app.commands.inspect.window import open_inspector
+from radiant_core.choices import Painter
 from radiant_core.plan.borders.borders import shared_borders
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.window.window import InspectorWindow
@@ -138,7 +139,7 @@ def pixel(canvas: Canvas, place: np.ndarray) -> QPoint:
     return QPoint(round(x), round(canvas.size_wh[1] - 1 - y))
 
 
-def use_window(path: Path, act: Callable[[InspectorWindow], None]) -> None:
+def use_window(path: Path, act: Callable[[InspectorWindow], None], painter: Painter | None = None) -> None:
     """Open `radiant inspect` on a path, act in its window, and close it; raise what went wrong."""
     failures: list[BaseException] = []
 
@@ -156,7 +157,7 @@ def use_window(path: Path, act: Callable[[InspectorWindow], None]) -> None:
             QApplication.closeAllWindows()
 
     QTimer.singleShot(0, drive)
-    code = open_inspector(path)
+    code = open_inspector(path, painter=painter)
     if failures:
         raise failures[0]
     assert code == 0, f"the window ended with exit code {code}"

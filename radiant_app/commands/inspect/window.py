@@ -11,6 +11,7 @@ from radiant_app.commands.plan.pictures import SYSTEM, sibling
 from radiant_app.files.constraints_file import dump_constraints
 from radiant_app.files.system_file import dump_system, load_system
 from radiant_app.report.prediction_error import SYSTEM_NAME
+from radiant_core.choices import Painter
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.model_reader import model_kind
 from radiant_core.io.records import PlanFile, load_plan, load_plan_file
@@ -45,13 +46,13 @@ def plan_file_of(source: Path) -> Path | None:
     return (source / "plan.json" if source / "plan.json" in plans else plans[0]) if plans else None
 
 
-def open_inspector(source: Path, system: Path | None = None, scene: Path | None = None) -> int:
-    """Show a run or a plan until its window is closed; returns the exit code. Raises BadInput as
-    `plan_file_of` and the readers."""
+def open_inspector(source: Path, system: Path | None = None, scene: Path | None = None, painter: Painter | None = None) -> int:
+    """Show a run or a plan until its window is closed, its model drawn by a painter; returns the
+    exit code. Raises BadInput as `plan_file_of` and the readers."""
     from radiant_viewer.window.inspector import open_window
 
     opened = opening_of(source, system, scene)
-    return open_window(opened.path, opened.feeds, setting=opened.setting, scene=opened.scene)
+    return open_window(opened.path, opened.feeds, setting=opened.setting, scene=opened.scene, painter=painter)
 
 
 def opening_of(source: Path, system: Path | None = None, scene: Path | None = None) -> Opening:

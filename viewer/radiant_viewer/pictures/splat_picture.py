@@ -80,7 +80,7 @@ def draw_splat_view(layers: Sequence[Layer], splats: Splats, camera: Cameras) ->
         Backdrop(plotter).show(picture)
         for layer in layers:
             add_layer(plotter, layer, origin, line_scale=OVERSAMPLING)
-        _aim_as(plotter, camera, origin, NEAR_SHARE * far, far)
+        aim_as(plotter.camera, camera, origin, NEAR_SHARE * far, far)
         image = averaged_screenshot(plotter)
     return Drawing(image=image, label_px=_pixels(places, camera), mark_px=_pixels(marks, camera), extent=None)
 
@@ -92,11 +92,10 @@ def render_rgbd(splats: Splats, camera: Cameras) -> NDArray[np.float32]:
     return np.dstack([over, np.where(view.alpha >= OPAQUE, view.depth, 0)]).astype(np.float32)
 
 
-def _aim_as(plotter: pv.Plotter, camera: Cameras, origin: FloatArray, near: float, far: float) -> None:
-    """Let a plotter of coordinates relative to `origin` see what a pinhole camera sees."""
+def aim_as(vtk: pv.Camera, camera: Cameras, origin: FloatArray, near: float, far: float) -> None:
+    """Let VTK's camera, in coordinates relative to `origin`, see what a pinhole camera sees."""
     rotation, (width, height), K = camera.cam_from_world[0, :3, :3], camera.sizes_wh[0], camera.Ks[0]
     position = camera.centers[0] - origin
-    vtk = plotter.camera
     vtk.position, vtk.focal_point, vtk.up = tuple(position), tuple(position + rotation[2]), tuple(-rotation[1])
     vtk.clipping_range = (near, far)
     matrix = np.zeros((4, 4))

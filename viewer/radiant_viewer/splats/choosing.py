@@ -1,34 +1,40 @@
-"""Which renderer draws the model of a main view: a measured `Decision`, once when it is opened.
+"""Which painter draws the model of a main view: a measured `Decision`, once when it is opened.
 
-Ours draws one picture. Where there is a graphics card, Open3D's scene draws the same in a process
-of its own, with what a view needs of it: colours and depths in the computer's memory. Open3D's is
-taken where it is faster and its depths are ours, for layers are hidden by depth.
+Ours draws at first. Where there is a graphics card, VTK's Gaussians and then Open3D's scene are
+measured beside it, each in a process of its own (`measuring`), and the first draws on that is
+faster and shows the same picture at the same depths, by which layers are hidden. Without a card
+ours stays, and VTK's is measured only for who asks.
 """
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
-import time
-from collections.abc import Callable
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-import numpy as np
-
+from radiant_core.choices import Painter
 from radiant_core.decisions import Decision
-from radiant_core.splats import Splats
-from radiant_viewer.layers.backdrop import Rgbd
-from radiant_viewer.pictures.splat_picture import fit_camera
 
-SIZE_WH = (640, 400)
+LEAST_DB = 40.0
+"""PSNR of a painter's picture against ours: differences of 1 % are not seen."""
 MAX_DEPTH_ERROR = 0.01
 """Of the distance: half a metre at 50 m, from where a camera at a wall would be hidden wrongly."""
-PATIENCE_S = 30.0
-OURS, OPEN3D = "our renderer", "Open3D's scene"
-Measured = tuple[float, float] | str
-"""Seconds and depth error of Open3D's picture, or why there is none."""
+PAINTERS: Mapping[Painter, str] = {"radiant": "our renderer", "vtk": "VTK's Gaussians", "open3d": "Open3D's scene"}
+OTHERS: tuple[Painter, ...] = ("vtk", "open3d")
+"""In the order in which they are measured."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """One picture of 640 × 400 px by our renderer and by another painter."""
+
+    backend: str
+    ours_s: float
+    other_s: float
+    psnr_db: float
+    depth_error: float
+    """What nine in ten depths differ by at most, as a share of the distance."""
 
 
 def has_graphics_card() -> bool:
@@ -38,51 +44,46 @@ def has_graphics_card() -> bool:
     return Path("/dev/nvidia0").exists() or any(Path("/dev/dri").glob("renderD*"))
 
 
-def choose_renderer(
-    splats: Splats, path: Path, card: Callable[[], bool] = has_graphics_card, measure: Callable[[Path, Path], Measured] | None = None
-) -> Decision:
-    """Draw one picture of a model of at least one Gaussian, which lies in the PLY `path`."""
-    # The window shows the words of this module, and does not wait for torch.
-    from radiant_core.render.rasterize import resolve_backend
-    from radiant_viewer.splats.rgbd import ModelRenderer
-
-    low, high = np.quantile(splats.means.astype(np.float64), [0.05, 0.95], axis=0)
-    camera = fit_camera(np.stack([low, high]), SIZE_WH)
-    picture: Rgbd = np.zeros((SIZE_WH[1], SIZE_WH[0], 4), np.float32)
-    ours = ModelRenderer(splats)
-    began = time.monotonic()
-    ours.draw(camera, (0, 0, 0), picture)
-    seconds, backend = time.monotonic() - began, resolve_backend("auto")
-    if not card():
-        return _decision(False, backend, seconds, "there is no graphics card, on which Open3D's scene could be the faster one")
-    with TemporaryDirectory(prefix="radiant-") as folder:
-        arrays_path = Path(folder) / "ours.npz"
-        np.savez(arrays_path, picture=picture, K=camera.Ks[0], cam_from_world=camera.cam_from_world[0])
-        measured = (measure or _open3d_measured)(path, arrays_path)
+def choose_painter(other: Painter, measured: Measured | str, *, has_card: bool) -> tuple[Painter, Decision]:
+    """Ours or another painter, by what was measured of both, or by why nothing was."""
+    name = PAINTERS[other]
     if isinstance(measured, str):
-        return _decision(False, backend, seconds, f"Open3D's scene drew nothing: {measured}")
-    other_s, error = measured
-    if other_s >= seconds:
-        return _decision(False, backend, seconds, f"Open3D's scene takes {other_s:.3f} s")
-    if error > MAX_DEPTH_ERROR:
-        fault = f"depths off by up to {100 * error:.1f} % of the distance" if error < 1 else "other pixels"
-        return _decision(False, backend, seconds, f"Open3D's scene takes {other_s:.3f} s but has {fault}, and layers are hidden by depth")
-    return _decision(True, backend, other_s, f"our renderer ({backend}) takes {seconds:.3f} s, and depths agree within {100 * error:.1f} %")
+        return "radiant", _decision("our renderer", None, f"{_without_card(has_card)}{name} drew nothing: {measured}")
+    shown = f"{name}: {measured.other_s:.3f} s, {measured.psnr_db:.1f} dB from ours"
+    is_same = measured.psnr_db >= LEAST_DB and measured.depth_error <= MAX_DEPTH_ERROR
+    if has_card and is_same and measured.other_s < measured.ours_s:
+        reason = f"our renderer ({measured.backend}) takes {measured.ours_s:.3f} s; {shown}, depths within {_share(measured.depth_error)}"
+        return other, _decision(name, measured.other_s, reason)
+    if measured.psnr_db < LEAST_DB:
+        fault = f", and {LEAST_DB:.0f} dB are needed"
+    elif measured.depth_error > MAX_DEPTH_ERROR:
+        fault = f", but depths are off by up to {_share(measured.depth_error)} of the distance, and layers are hidden by depth"
+    else:
+        fault = ""
+    return "radiant", _decision(f"our renderer ({measured.backend})", measured.ours_s, f"{_without_card(has_card)}{shown}{fault}")
 
 
-def _decision(open3d: bool, backend: str, seconds: float, reason: str) -> Decision:
-    choice = OPEN3D if open3d else f"{OURS} ({backend})"
-    return Decision(stage="view", topic="renderer", choice=choice, figure=round(seconds, 4), unit="s a picture of 640 × 400", reason=reason)
+def forced_painter(painter: Painter) -> Decision:
+    """The decision of who asked for a painter."""
+    return _decision(PAINTERS[painter], None, f"--painter {painter} asks for it", forced=True)
 
 
-def _open3d_measured(path: Path, arrays_path: Path) -> Measured:
-    command = [sys.executable, "-m", "radiant_viewer.splats.open3d_rgbd", str(path), str(arrays_path)]
-    try:
-        ended = subprocess.run(command, capture_output=True, timeout=PATIENCE_S, check=False)
-    except subprocess.TimeoutExpired:
-        return f"no picture within {PATIENCE_S:.0f} s"
-    try:
-        answer = json.loads(ended.stdout)
-        return float(answer["seconds"]), float(answer["depth_error"])
-    except (ValueError, KeyError, TypeError):
-        return f"its process ended with exit code {ended.returncode}"
+def _decision(choice: str, seconds: float | None, reason: str, *, forced: bool = False) -> Decision:
+    return Decision(
+        stage="view",
+        topic="painter",
+        choice=choice,
+        figure=None if seconds is None else round(seconds, 4),
+        unit="s a picture of 640 × 400",
+        reason=reason,
+        otherwise="--painter",
+        forced=forced,
+    )
+
+
+def _without_card(has_card: bool) -> str:
+    return "" if has_card else "there is no graphics card; "
+
+
+def _share(error: float) -> str:
+    return f"{100 * error:.1f} %" if error < 1 else "100 %"

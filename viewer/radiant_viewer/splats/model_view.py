@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from radiant_core.cameras import Cameras
+from radiant_core.choices import Painter
 from radiant_core.decisions import Decision
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.splat_picture import Ground, camera_above
-from radiant_viewer.splats.choosing import OPEN3D, OURS
+from radiant_viewer.splats.choosing import PAINTERS, forced_painter
+from radiant_viewer.splats.painter_choice import PainterChoice
 from radiant_viewer.splats.splat_process import Frame, Part, SplatProcess
 
 MOVING_S, REST_MS, MAP_REST_MS = 0.04, 80, 160
@@ -46,7 +48,7 @@ class ModelView(QObject):
     sharpened = Signal()
     """The 3D view shows the model in full."""
 
-    def __init__(self, host: Host, splats: Splats, keep_mask: NDArray[np.bool_]) -> None:
+    def __init__(self, host: Host, splats: Splats, keep_mask: NDArray[np.bool_], painter: Painter | None = None) -> None:
         super().__init__()
         self._host, self._splats = host, splats
         self._num_kept, self._num_masks = len(splats), 0
@@ -59,7 +61,18 @@ class ModelView(QObject):
         self.ply_path = Path(self._folder.name) / "model.ply"
         save_ply(self.ply_path, splats)
         self._keep(keep_mask)
-        self._process = self._start(chooses=True)
+        self.decision: Decision | None = None
+        """Which painter draws and why, once that is known."""
+        self._process = self._start(painter or "radiant")
+        self._next_process: SplatProcess | None = None
+        """Of another painter, which takes over once it is ready."""
+        self._choice: PainterChoice | None = None
+        if painter is not None:
+            self._tell(forced_painter(painter))
+        else:
+            self._choice = PainterChoice(host.view.note, self.ply_path)
+            self._choice.decided.connect(self._on_decided)
+            host.view.note.setToolTip(self._choice.first_words)
         self._wanted, self._asked_picture, self._drawn_picture = b"", (b"", False), (b"", False)
         self._map_asked, self._map_drawn = b"", b""
         self._map_extent = (0.0, 0.0, 1.0, 1.0)
@@ -143,20 +156,34 @@ class ModelView(QObject):
         self._rest.stop()
         self._map_rest.stop()
         self.is_shown = False
-        self._process.end()
+        if self._choice is not None:
+            self._choice.end()
+        for process in (self._process, self._next_process):
+            if process is not None:
+                process.end()
         self._folder.cleanup()
 
     @property
-    def decision(self) -> Decision | None:
-        """Which renderer draws and why, once it is known."""
-        return self._process.decision
+    def painter(self) -> Painter:
+        """Who draws now."""
+        return self._process.painter
 
-    def _start(self, *, chooses: bool) -> SplatProcess:
-        process = SplatProcess(self, self.ply_path, chooses=chooses)
+    def _start(self, painter: Painter) -> SplatProcess:
+        process = SplatProcess(self, self.ply_path, painter)
         process.frame_drawn.connect(self._on_drawn)
-        process.ready.connect(self._on_ready)
-        process.failed.connect(self._on_failed)
+        process.ready.connect(lambda: self._on_ready(process))
+        process.failed.connect(lambda reason: self._on_failed(process, reason))
         return process
+
+    def _on_decided(self, painter: Painter, decision: Decision) -> None:
+        self._tell(decision)
+        if painter != self.painter:
+            self._next_process = self._start(painter)
+
+    def _tell(self, decision: Decision) -> None:
+        self.decision = decision
+        figure = "" if decision.figure is None else f", {decision.figure} {decision.unit}"
+        self._host.view.note.setToolTip(f"Drawn by {decision.choice}{figure}: {decision.reason}.")
 
     def _look_soon(self) -> None:
         # A camera moves in steps, between which it may look nowhere.
@@ -223,9 +250,11 @@ class ModelView(QObject):
             part, box=np.stack([low, high])
         )
 
-    def _on_ready(self) -> None:
-        if (decision := self.decision) is not None:
-            self._host.view.note.setToolTip(f"Drawn by {decision.choice}, {decision.figure} {decision.unit}: {decision.reason}.")
+    def _on_ready(self, process: SplatProcess) -> None:
+        if process is self._next_process:
+            self._process.end()
+            self._process, self._next_process = process, None
+            self._drawn_picture, self._map_drawn = (self._drawn_picture[0], False), b""
         self.look()
 
     def _on_drawn(self, frame: Frame) -> None:
@@ -247,6 +276,8 @@ class ModelView(QObject):
             self._note(frame)
         self.look()
         if self.shown_is_full:
+            if self._choice is not None:
+                self._choice.on_first_picture()
             self.sharpened.emit()
 
     def _tune(self, seconds: float) -> None:
@@ -271,12 +302,14 @@ class ModelView(QObject):
         shift = ((left + right - x_min - x_max) / 2 / width, (bottom + top - y_min - y_max) / 2 / height)
         self._host.map.backdrop.place(shift, ((right - left) / width, (top - bottom) / height), self._host.theme.view)
 
-    def _on_failed(self, reason: str) -> None:
-        if self.decision is not None and self.decision.choice == OPEN3D:
-            # Open3D or a graphics driver ended it: ours draws on.
-            self._host.view.note.setToolTip(f"Drawn by {OURS}: with {OPEN3D}, {reason}.")
-            self._process.end()
-            self._process = self._start(chooses=False)
+    def _on_failed(self, process: SplatProcess, reason: str) -> None:
+        if process.painter != "radiant":
+            # A graphics driver ended it: ours draws on.
+            self._host.view.note.setToolTip(f"Drawn by our renderer: with {PAINTERS[process.painter]}, {reason}.")
+            self._next_process = None
+            if process is self._process:
+                process.end()
+                self._process = self._start("radiant")
             return
         self.has_failed = True
         self._hide()

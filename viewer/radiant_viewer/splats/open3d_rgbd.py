@@ -1,26 +1,16 @@
 """`Open3DRenderer`: a model drawn by Open3D's scene, colour and depth in one picture, as
 `ModelRenderer` draws it. Once per frame of a view, where `choosing` found it to be the faster one.
-
-Run as `python -m radiant_viewer.splats.open3d_rgbd MODEL.ply OURS.npz` it draws the picture of
-OURS.npz (picture, K, cam_from_world) and prints {"seconds", "depth_error"}: a graphics driver or
-Open3D may end its process, and here that takes nothing with it.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import sys
-import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.io.open3d_formats import open3d_point_cloud
-from radiant_core.io.ply import load_ply
 from radiant_core.render.reach import Reach
 from radiant_core.splats import Splats
 from radiant_viewer.layers.backdrop import Rgbd
@@ -75,34 +65,3 @@ class Open3DRenderer:
             renderer.scene.add_geometry(_NAME, self._cloud, material)
             self._of_size[width, height] = renderer
         return self._of_size[width, height]
-
-
-def depth_error(picture: Rgbd, ours: Rgbd) -> float:
-    """What nine in ten pixels' depths differ by at most, as a share of the distance; infinite where
-    the two show different pixels."""
-    both = (picture[..., 3] > 0) & (ours[..., 3] > 0)
-    if not both.any() or both.sum() < 0.9 * (ours[..., 3] > 0).sum():
-        return float("inf")
-    return float(np.quantile(np.abs(picture[both][:, 3] / ours[both][:, 3] - 1), 0.9))
-
-
-def main() -> int:
-    """Draw and compare one picture; Open3D 0.20 ends by a signal where it tidies up, so it does
-    not."""
-    pipe = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
-    with np.load(sys.argv[2]) as arrays:
-        ours, K, pose = (arrays[name] for name in ("picture", "K", "cam_from_world"))
-    height, width = ours.shape[:2]
-    camera = Cameras(names=("view",), Ks=K[None], cam_from_world=pose[None], sizes_wh=np.array([[width, height]]))
-    renderer, picture = Open3DRenderer(load_ply(Path(sys.argv[1]))), np.zeros_like(ours)
-    renderer.draw_all(camera, (0, 0, 0), picture)
-    began = time.monotonic()
-    renderer.draw_all(camera, (0, 0, 0), picture)
-    pipe.write(json.dumps({"seconds": time.monotonic() - began, "depth_error": min(depth_error(picture, ours), 1e9)}))
-    pipe.flush()
-    os._exit(0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

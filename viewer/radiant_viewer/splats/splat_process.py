@@ -13,7 +13,7 @@ import numpy as np
 from PySide6.QtCore import QObject, QProcess, Signal
 
 from radiant_core.cameras import Cameras
-from radiant_core.decisions import Decision
+from radiant_core.choices import Painter
 from radiant_core.numerics import FloatArray
 from radiant_viewer.layers.backdrop import Rgbd
 from radiant_viewer.pictures.images import Image
@@ -53,17 +53,16 @@ class Part:
 
 class SplatProcess(QObject):
     """Draws one picture at a time: do not call `ask` while `is_busy`. `failed` carries why the
-    process ended by itself. Our renderer draws, unless the process `chooses` Open3D's."""
+    process ended by itself. Our renderer draws, unless another painter is asked for."""
 
     ready = Signal()
     frame_drawn = Signal(object)
     failed = Signal(str)
 
-    def __init__(self, parent: QObject, ply_path: Path, *, chooses: bool = False) -> None:
+    def __init__(self, parent: QObject, ply_path: Path, painter: Painter = "radiant") -> None:
         super().__init__(parent)
         self.is_ready = self.is_busy = self._is_ending = False
-        self.decision: Decision | None = None
-        """Which renderer draws, once ready and if chosen."""
+        self.painter = painter
         self._slot = 0
         self._last_words = ""
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
@@ -73,7 +72,7 @@ class SplatProcess(QObject):
         self._process.readyReadStandardError.connect(self._on_error_text)
         self._process.finished.connect(self._on_finished)
         self._process.errorOccurred.connect(self._on_finished)
-        arguments = [str(ply_path.resolve()), self._frames, *(["choose"] if chooses else [])]
+        arguments = [str(ply_path.resolve()), self._frames, painter]
         self._process.start(sys.executable, ["-m", "radiant_viewer.splats.splat_worker", *arguments])
 
     def ask(self, request: int, camera: Cameras, background: tuple[int, int, int], part: Part) -> None:
@@ -114,7 +113,6 @@ class SplatProcess(QObject):
             header: dict[str, Any] = json.loads(bytes(self._process.readLine().data()))
             if "ready" in header:
                 self.is_ready = True
-                self.decision = None if header["decision"] is None else Decision(**header["decision"])
                 self.ready.emit()
                 continue
             width, height = (int(side) for side in header["size_wh"])

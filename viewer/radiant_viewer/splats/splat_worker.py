@@ -1,4 +1,4 @@
-"""A renderer process: `python -m radiant_viewer.splats.splat_worker MODEL.ply FRAMES [choose]`.
+"""A renderer process: `python -m radiant_viewer.splats.splat_worker MODEL.ply FRAMES PAINTER`.
 
 One JSON line per request on standard input: {"id", "K", "cam_from_world", "size_wh", "background",
 "box", "max_gaussians", "kept", "slot"}; box is null or the lower and upper corner (2,3) of what is
@@ -6,8 +6,7 @@ drawn, max_gaussians null or the most that are drawn, the weightiest ones, kept 
 file of a mask (N,) of those that are drawn. The picture, H·W·4 float32 of colour and depth
 (`render_rgbd`), is written at the start of the file FRAMES<slot>, which only grows: who asks maps
 it, so that no pixel goes through a pipe. Per answer one JSON line {"id", "size_wh", "seconds"}; the
-first line is {"ready", "num_gaussians", "decision"}, the fields of the `Decision` which renderer
-draws, null where none was asked for by "choose": ours then. Ends with its standard input.
+first line is {"ready", "num_gaussians"}. Ends with its standard input.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import sys
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
@@ -31,11 +29,7 @@ from radiant_core.io.ply import load_ply
 from radiant_core.splats import Splats
 from radiant_viewer.layers.backdrop import Rgbd
 from radiant_viewer.layers.splat_layer import inside_box
-from radiant_viewer.splats.choosing import OPEN3D, choose_renderer
-from radiant_viewer.splats.open3d_rgbd import Open3DRenderer
-from radiant_viewer.splats.rgbd import ModelRenderer
-
-Drawer = ModelRenderer | Open3DRenderer
+from radiant_viewer.splats.measuring import DRAWERS, Drawer
 
 MAX_PARTS = 4
 """Parts of the model that are kept: the whole, the ground of the map, few Gaussians, a box."""
@@ -71,12 +65,11 @@ def _weights(splats: Splats) -> NDArray[np.float32]:
     return np.asarray(np.exp(log_scales[:, 1] + log_scales[:, 2]) / (1 + np.exp(-splats.logit_opacities)), np.float32)
 
 
-def serve(path: Path, frames: str, chooses: bool, requests: IO[bytes], answers: IO[bytes]) -> None:
+def serve(path: Path, frames: str, painter: str, requests: IO[bytes], answers: IO[bytes]) -> None:
     """Answer requests until the stream ends."""
     splats = load_ply(path)
-    decision = choose_renderer(splats, path) if chooses and len(splats) else None
-    parts = Parts(splats, Open3DRenderer if decision is not None and decision.choice == OPEN3D else ModelRenderer)
-    _answer(answers, {"ready": True, "num_gaussians": len(splats), "decision": None if decision is None else asdict(decision)})
+    parts = Parts(splats, DRAWERS[painter])
+    _answer(answers, {"ready": True, "num_gaussians": len(splats)})
     for line in requests:
         request = json.loads(line)
         width, height = (int(side) for side in request["size_wh"])
@@ -118,7 +111,7 @@ def main() -> int:
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     try:
-        serve(Path(sys.argv[1]), sys.argv[2], sys.argv[3:] == ["choose"], sys.stdin.buffer, pipe)
+        serve(Path(sys.argv[1]), sys.argv[2], sys.argv[3], sys.stdin.buffer, pipe)
     except BrokenPipeError:
         return 0
     except RadiantError as error:

@@ -27,6 +27,7 @@ from radiant_viewer.window.subject import Subject, load_subject
 if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
 
+    from radiant_core.choices import Painter
     from radiant_core.scene import SfmScene
     from radiant_viewer.editing.store.plan_files import PlanSetting
     from radiant_viewer.layers.themes import ThemeName
@@ -44,6 +45,7 @@ def open_window(
     theme: ThemeName = "light",
     setting: Callable[[], PlanSetting] | None = None,
     scene: SfmScene | None = None,
+    painter: Painter | None = None,
 ) -> int:
     """Show a run, a plan or a PLY until its window is closed.
 
@@ -52,12 +54,14 @@ def open_window(
         feeds: the application's progress and timeline of the run.
         setting: returns the machines with which the plan can be edited; called per reading.
         scene: the cameras of a plan without waypoints.
+        painter: who draws the model, by default our renderer unless another is measured to be
+            faster.
 
     Returns: the exit code.
     Raises: BadInput without a desktop, and as `load_subject`.
     """
     require_desktop()
-    owner = _WindowOwner(Opening(path=Path(path), feeds=feeds or RunFeeds(), setting=setting, scene=scene))
+    owner = _WindowOwner(Opening(path=Path(path), feeds=feeds or RunFeeds(), setting=setting, scene=scene, painter=painter))
     # Errors come before any window appears.
     first = owner.load()
     application = _application()
@@ -73,6 +77,7 @@ class Opening:
     feeds: RunFeeds
     setting: Callable[[], PlanSetting] | None = None
     scene: SfmScene | None = None
+    painter: Painter | None = None
 
 
 def open_start(feeds: StartFeeds, opening: Callable[[Path], Opening], theme: ThemeName = "light") -> int:
@@ -165,6 +170,7 @@ class _WindowOwner:
 
     def __init__(self, opening: Opening) -> None:
         self._path, self._feeds, self._setting, self._scene = opening.path, opening.feeds, opening.setting, opening.scene
+        self._painter = opening.painter
         self.window: InspectorWindow | WaitingWindow | None = None
 
     def load(self) -> _Reading | None:
@@ -192,7 +198,7 @@ class _WindowOwner:
         else:
             state = read_window_state(before) if isinstance(before, InspectorWindow) else None
             restore = None if state is None else partial(restore_window, state=state)
-            self.window = InspectorWindow(reading.subject, self._feeds, theme, reading.setting, restore)
+            self.window = InspectorWindow(reading.subject, self._feeds, theme, reading.setting, restore, self._painter)
         self.window.wants_reload.connect(self._reload)
         if isinstance(before, InspectorWindow):
             self.window.setGeometry(before.geometry())

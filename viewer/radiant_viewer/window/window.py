@@ -19,6 +19,7 @@ from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtGui import QAction, QCloseEvent, QShowEvent
 from PySide6.QtWidgets import QApplication, QDockWidget, QFileDialog, QMainWindow, QMessageBox, QPushButton, QSplitter
 
+from radiant_core.choices import Painter
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.numerics import FloatArray
 from radiant_viewer.docks.layer_dock import LayerDock
@@ -70,6 +71,7 @@ class InspectorWindow(QMainWindow):
         theme: ThemeName = "light",
         setting: PlanSetting | None = None,
         restore: Callable[[InspectorWindow], None] | None = None,
+        painter: Painter | None = None,
     ) -> None:
         super().__init__()
         self.subject, self.run = subject, subject.run
@@ -97,7 +99,7 @@ class InspectorWindow(QMainWindow):
         for canvas in (self.map, self.view):
             canvas.click_takers.append(self._pick)
         mask = self._visible_mask()
-        self.model = None if subject.model is None or mask is None else ModelView(self, subject.model.whole, mask)
+        self.model = None if subject.model is None or mask is None else ModelView(self, subject.model.whole, mask, painter)
         self.docks = make_docks(self, subject, feeds or RunFeeds(), None if self.model is None else self.model.ply_path)
         place_docks(self, self.docks)
         if self.model is not None:

@@ -1,0 +1,91 @@
+"""Another painter measured against our renderer: `python -m radiant_viewer.splats.measuring
+MODEL.ply vtk|open3d` prints the fields of `Measured` as one JSON line.
+
+Both draw one picture twice, of which the second counts: the first compiles shaders. A graphics
+driver or Open3D may end its process, and here that takes nothing with it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from radiant_core.cameras import Cameras
+from radiant_core.choices import Painter
+from radiant_core.io.ply import load_ply
+from radiant_core.render.rasterize import resolve_backend
+from radiant_core.splats import Splats
+from radiant_viewer.layers.backdrop import Rgbd
+from radiant_viewer.pictures.splat_picture import fit_camera
+from radiant_viewer.splats.choosing import Measured, has_graphics_card
+from radiant_viewer.splats.open3d_rgbd import Open3DRenderer
+from radiant_viewer.splats.rgbd import ModelRenderer
+from radiant_viewer.splats.vtk_rgbd import VtkRenderer
+
+SIZE_WH = (640, 400)
+WORST_DB, WORST_ERROR = 0.0, 1e9
+"""Where two pictures show different pixels."""
+Drawer = ModelRenderer | VtkRenderer | Open3DRenderer
+DRAWERS: dict[str, Callable[[Splats], Drawer]] = {"radiant": ModelRenderer, "vtk": VtkRenderer, "open3d": Open3DRenderer}
+
+
+def measure(splats: Splats, painter: Painter) -> Measured:
+    """Draw the middle of a model of at least one Gaussian by ours and by another painter."""
+    low, high = np.quantile(splats.means.astype(np.float64), [0.05, 0.95], axis=0)
+    camera = fit_camera(np.stack([low, high]), SIZE_WH)
+    (ours, ours_s), (other, other_s) = (_drawn(DRAWERS[name](splats), camera) for name in ("radiant", painter))
+    return Measured(
+        backend=resolve_backend("auto"),
+        ours_s=ours_s,
+        other_s=other_s,
+        psnr_db=picture_psnr_db(other, ours),
+        depth_error=depth_error(other, ours),
+    )
+
+
+def picture_psnr_db(picture: Rgbd, ours: Rgbd) -> float:
+    """PSNR of colours, at most 100 dB."""
+    mean_square = float(np.mean((picture[..., :3].astype(np.float64) - ours[..., :3]) ** 2))
+    return float(-10 * np.log10(max(mean_square, 1e-10))) if np.isfinite(mean_square) else WORST_DB
+
+
+def depth_error(picture: Rgbd, ours: Rgbd) -> float:
+    """What nine in ten pixels' depths differ by at most, as a share of the distance; `WORST_ERROR`
+    where the two show different pixels."""
+    both = (picture[..., 3] > 0) & (ours[..., 3] > 0)
+    if not both.any() or both.sum() < 0.9 * (ours[..., 3] > 0).sum():
+        return WORST_ERROR
+    return float(np.quantile(np.abs(picture[both][:, 3] / ours[both][:, 3] - 1), 0.9))
+
+
+def _drawn(drawer: Drawer, camera: Cameras) -> tuple[Rgbd, float]:
+    picture: Rgbd = np.zeros((SIZE_WH[1], SIZE_WH[0], 4), np.float32)
+    drawer.draw(camera, (0, 0, 0), picture)
+    began = time.monotonic()
+    drawer.draw(camera, (0, 0, 0), picture)
+    return picture, time.monotonic() - began
+
+
+def main() -> int:
+    """Measure and print; Open3D 0.20 ends by a signal where it tidies up, so it does not."""
+    # Graphics drivers write to standard output: it becomes standard error; the answer keeps the pipe.
+    pipe = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    if not has_graphics_card():
+        # Then the figure is for reading alone, and the views come first.
+        os.nice(19)
+    painter: Painter = "open3d" if sys.argv[2] == "open3d" else "vtk"
+    pipe.write(json.dumps(asdict(measure(load_ply(Path(sys.argv[1])), painter))) + "\n")
+    pipe.flush()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
