@@ -27,7 +27,7 @@ OTHERS: tuple[Painter, ...] = ("vtk", "open3d")
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """One picture of 640 × 400 px by our renderer and by another painter."""
+    """A picture of 640 × 400 px by our renderer and by another painter, of two the mean and worse."""
 
     backend: str
     ours_s: float

@@ -1,7 +1,7 @@
 """Another painter measured against our renderer: `python -m radiant_viewer.splats.measuring
 MODEL.ply vtk|open3d` prints the fields of `Measured` as one JSON line.
 
-Both draw one picture twice, of which the second counts: the first compiles shaders. A graphics
+Both draw two pictures twice, of which the second counts: the first compiles shaders. A graphics
 driver or Open3D may end its process, and here that takes nothing with it.
 """
 
@@ -12,7 +12,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +30,8 @@ from radiant_viewer.splats.rgbd import ModelRenderer
 from radiant_viewer.splats.vtk_rgbd import VtkRenderer
 
 SIZE_WH = (640, 400)
+NEAR_SHARE = 0.15
+"""Of the distance from which all of it is seen: the second picture is from within."""
 WORST_DB, WORST_ERROR = 0.0, 1e9
 """Where two pictures show different pixels."""
 Drawer = ModelRenderer | VtkRenderer | Open3DRenderer
@@ -37,16 +39,20 @@ DRAWERS: dict[str, Callable[[Splats], Drawer]] = {"radiant": ModelRenderer, "vtk
 
 
 def measure(splats: Splats, painter: Painter) -> Measured:
-    """Draw the middle of a model of at least one Gaussian by ours and by another painter."""
+    """Draw a model of at least one Gaussian by ours and by another painter, from outside and from
+    within; the mean time, and the worse of the differences."""
     low, high = np.quantile(splats.means.astype(np.float64), [0.05, 0.95], axis=0)
-    camera = fit_camera(np.stack([low, high]), SIZE_WH)
-    (ours, ours_s), (other, other_s) = (_drawn(DRAWERS[name](splats), camera) for name in ("radiant", painter))
+    outside = fit_camera(np.stack([low, high]), SIZE_WH)
+    pose = outside.cam_from_world.copy()
+    pose[0, :3, 3] = NEAR_SHARE * pose[0, :3, 3] - (1 - NEAR_SHARE) * pose[0, :3, :3] @ ((low + high) / 2)
+    drawers = [DRAWERS[name](splats) for name in ("radiant", painter)]
+    pairs = [[_drawn(drawer, camera) for drawer in drawers] for camera in (outside, replace(outside, cam_from_world=pose))]
     return Measured(
         backend=resolve_backend("auto"),
-        ours_s=ours_s,
-        other_s=other_s,
-        psnr_db=picture_psnr_db(other, ours),
-        depth_error=depth_error(other, ours),
+        ours_s=float(np.mean([ours_s for (_, ours_s), _ in pairs])),
+        other_s=float(np.mean([other_s for _, (_, other_s) in pairs])),
+        psnr_db=min(picture_psnr_db(other, ours) for (ours, _), (other, _) in pairs),
+        depth_error=max(depth_error(other, ours) for (ours, _), (other, _) in pairs),
     )
 
 

@@ -33,6 +33,16 @@ DEPTH_BYTES = np.array([65536.0, 256.0, 1.0], np.float32)
 DEEPEST = float(2**24 - 1)
 
 
+# VTK leaves out what has its middle beside a window 1.3 times the picture; near an eye within the
+# scene it is much of the picture. 3DGS draws it, projected as at the window's rim.
+_JACOBIAN = "mat3 J = getProjectionMatrix(posVC.xyz);"
+_JACOBIAN_WITHIN = """
+vec2 reach = cameraParallel != 0 ? vec2(1e30) : -1.3 * posVC.z / vec2(VCDCMatrix[0][0], VCDCMatrix[1][1]);
+mat3 J = getProjectionMatrix(vec3(clamp(posVC.xy, -reach, reach), posVC.z));
+"""
+_LEFT_OUT = "transformVCVSOutput = mat2(0);"
+
+
 class VtkRenderer:
     """Renders one model by VTK, about its middle: graphics cards keep float32."""
 
@@ -55,6 +65,8 @@ class VtkRenderer:
         actor = vtkActor()
         actor.SetMapper(self._mapper)
         actor.ForceTranslucentOn()
+        for old, new in ((_JACOBIAN, _JACOBIAN_WITHIN), (_LEFT_OUT, "")):
+            actor.GetShaderProperty().AddVertexShaderReplacement(old, True, new, False)
         self._renderer, self._pass = vtkRenderer(), vtkFramebufferPass()
         self._pass.SetColorFormat(vtkTextureObject.Float32)
         self._pass.SetDepthFormat(vtkTextureObject.Float32)
