@@ -19,6 +19,7 @@ from radiant_viewer.runs.shown_model import SURROUNDINGS, framed_box, seen_of, s
 from radiant_viewer.share.folder import page_of_run
 from tests.viewer.hazy_town import NUM_HAZE, haze_share, hazy
 from tests.viewer.made_up_run import made_up_town, save_run
+from tests.viewer.town_share import shares
 from tests.viewer.window_kit import run_python, virtual_display
 
 TOWN_GAUSSIANS = 9000
@@ -95,6 +96,14 @@ def test_the_first_look_in_the_window_is_the_town_from_every_side_and_a_box_show
     assert seen["surroundings alone"]["drawn"] == NUM_HAZE
     assert "report.html and scene.html show an earlier cleaning" in seen["older"][0] and seen["older"][1]
     cleaning_path(run).unlink()
+
+
+def test_the_first_picture_is_the_town_and_none_of_it_is_smear(run: Path) -> None:
+    view = load_run_view(run)
+    assert view.splats is not None
+    (_, smeared_before), (covered, smeared) = (shares(view, splats) for splats in (view.splats, shown_of_run(view).splats))
+    assert smeared_before > 0.1, "the test has no haze"
+    assert covered >= 0.95 and smeared == 0
 
 
 def test_the_haze_is_a_decision_with_its_share_and_nothing_is_lost(run: Path) -> None:

@@ -25,10 +25,11 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.splats import SH_C0
 from tests.viewer.made_up_run import EDGE_IDS, SITES, Town, made_up_town, save_run
-from tests.viewer.window_kit import run_python
+from tests.viewer.window_kit import patient, run_python
 
 MAX_ACTIONS = 5
 MOVED = 20
+FIRST_MEASURE_S = 5.0
 
 
 def town_of_the_tasks() -> Town:
@@ -190,6 +191,7 @@ def test_a_measure_stands_there_at_the_second_click(done: Any) -> None:
     # A pixel is 0.12 m from 60 m with 500 px of focal length: σ_xy 0.06 m at either end, the heights' 0.19 m hardly count.
     assert 0.05 < float(sigma) < 0.4
     print(f"first measure: {found['figure_s']:.2f} s")
+    assert found["figure_s"] <= patient(FIRST_MEASURE_S)
 
 
 def test_a_lasso_leaves_out_what_lies_in_it_and_nothing_else(done: Any) -> None:

@@ -27,7 +27,8 @@ OTHERS: tuple[Painter, ...] = ("vtk", "open3d")
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """A picture of 640 × 400 px by our renderer and by another painter, of two the mean and worse."""
+    """Two pictures of 640 × 400 px by our renderer and by another painter: mean time, and the worse
+    of the differences."""
 
     backend: str
     ours_s: float
@@ -44,23 +45,23 @@ def has_graphics_card() -> bool:
     return Path("/dev/nvidia0").exists() or any(Path("/dev/dri").glob("renderD*"))
 
 
-def choose_painter(other: Painter, measured: Measured | str, *, has_card: bool) -> tuple[Painter, Decision]:
+def choose_painter(rival: Painter, measured: Measured | str, *, has_card: bool) -> tuple[Painter, Decision]:
     """Ours or another painter, by what was measured of both, or by why nothing was."""
-    name = PAINTERS[other]
+    name = PAINTERS[rival]
     if isinstance(measured, str):
         return "radiant", _decision("our renderer", None, f"{_without_card(has_card)}{name} drew nothing: {measured}")
-    shown = f"{name}: {measured.other_s:.3f} s, {measured.psnr_db:.1f} dB from ours"
+    figures = f"{name}: {measured.other_s:.3f} s, {measured.psnr_db:.1f} dB from ours"
     is_same = measured.psnr_db >= LEAST_DB and measured.depth_error <= MAX_DEPTH_ERROR
     if has_card and is_same and measured.other_s < measured.ours_s:
-        reason = f"our renderer ({measured.backend}) takes {measured.ours_s:.3f} s; {shown}, depths within {_share(measured.depth_error)}"
-        return other, _decision(name, measured.other_s, reason)
+        reason = f"our renderer ({measured.backend}) takes {measured.ours_s:.3f} s; {figures}, depths within {_share(measured.depth_error)}"
+        return rival, _decision(name, measured.other_s, reason)
     if measured.psnr_db < LEAST_DB:
         fault = f", and {LEAST_DB:.0f} dB are needed"
     elif measured.depth_error > MAX_DEPTH_ERROR:
         fault = f", but depths are off by up to {_share(measured.depth_error)} of the distance, and layers are hidden by depth"
     else:
         fault = ""
-    return "radiant", _decision(f"our renderer ({measured.backend})", measured.ours_s, f"{_without_card(has_card)}{shown}{fault}")
+    return "radiant", _decision(f"our renderer ({measured.backend})", measured.ours_s, f"{_without_card(has_card)}{figures}{fault}")
 
 
 def forced_painter(painter: Painter) -> Decision:

@@ -51,8 +51,8 @@ def measure(splats: Splats, painter: Painter) -> Measured:
         backend=resolve_backend("auto"),
         ours_s=float(np.mean([ours_s for (_, ours_s), _ in pairs])),
         other_s=float(np.mean([other_s for _, (_, other_s) in pairs])),
-        psnr_db=min(picture_psnr_db(other, ours) for (ours, _), (other, _) in pairs),
-        depth_error=max(depth_error(other, ours) for (ours, _), (other, _) in pairs),
+        psnr_db=min(picture_psnr_db(rival, ours) for (ours, _), (rival, _) in pairs),
+        depth_error=max(depth_error(rival, ours) for (ours, _), (rival, _) in pairs),
     )
 
 
@@ -81,7 +81,7 @@ def _drawn(drawer: Drawer, camera: Cameras) -> tuple[Rgbd, float]:
 
 def main() -> int:
     """Measure and print; Open3D 0.20 ends by a signal where it tidies up, so it does not."""
-    # Graphics drivers write to standard output: it becomes standard error; the answer keeps the pipe.
+    # Graphics drivers write to standard output: it becomes standard error; answers keep the pipe.
     pipe = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     if not has_graphics_card():

@@ -79,10 +79,10 @@ class PainterChoice(QObject):
     def _learn(self, measured: Measured | str) -> None:
         """What was measured of the first of the others; the next one if it does not draw."""
         self.end()
-        other = self._others.pop(0)
-        painter, decision = choose_painter(other, measured, has_card=self._has_card)
+        rival = self._others.pop(0)
+        painter, decision = choose_painter(rival, measured, has_card=self._has_card)
         self._reasons.append(decision.reason)
-        if painter == other or not self._others:
+        if painter == rival or not self._others:
             self.decided.emit(painter, Decision(**{**vars(decision), "reason": "; ".join(self._reasons)}))
         else:
             self._measure_next()

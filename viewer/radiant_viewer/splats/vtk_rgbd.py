@@ -1,5 +1,5 @@
-"""`VtkRenderer`: a model drawn by VTK's `vtkPointGaussianMapper`, colour and depth in one picture, as
-`ModelRenderer` draws it. Twice per frame of a view, where `choosing` found it to be the faster one.
+"""`VtkRenderer`: a model drawn by VTK's `vtkPointGaussianMapper`, colour and depth in one picture,
+as `ModelRenderer` draws it. Twice per frame of a view, where `choosing` found it the faster one.
 
     first   Σ w_i c_i and Σ w_i    colours along the view, blended far to near in float32
     second  Σ w_i z_i              depths as the three bytes of a colour: blending is linear
@@ -99,13 +99,13 @@ class VtkRenderer:
         self._mapper.SetLowpassMatrix(DILATION_PX2 * 4 / width**2, 0, DILATION_PX2 * 4 / height**2)
         self._aim(camera, float(depths[order[-1]]), float(depths[order[0]]))
         self._order(order)
-        seen = self._blended(order, self._colors(camera.centers[0] - self._origin))
+        colors = self._blended(order, self._colors(camera.centers[0] - self._origin))
         low, span = np.float32(depths[order[-1]]), np.float32(max(float(np.ptp(depths[order])), 1e-6))
-        far = self._blended(order, _bytes_of((depths - low) / span))
-        alphas = seen[..., 3]
-        into[..., :3] = np.clip(seen[..., :3] + (1 - alphas[..., None]) * behind, 0, 1)
+        places = self._blended(order, _bytes_of((depths - low) / span))
+        alphas = colors[..., 3]
+        into[..., :3] = np.clip(colors[..., :3] + (1 - alphas[..., None]) * behind, 0, 1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            into[..., 3] = np.where(alphas >= OPAQUE, low + span * (far[..., :3] @ DEPTH_BYTES) * (255 / DEEPEST) / alphas, 0)
+            into[..., 3] = np.where(alphas >= OPAQUE, low + span * (places[..., :3] @ DEPTH_BYTES) * (255 / DEEPEST) / alphas, 0)
 
     def _aim(self, camera: Cameras, near: float, far: float) -> None:
         eye = pv.Camera()
