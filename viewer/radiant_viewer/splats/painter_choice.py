@@ -16,7 +16,7 @@ from radiant_core.decisions import Decision
 from radiant_viewer.host.line_process import LineProcess
 from radiant_viewer.splats.choosing import OTHERS, Measured, choose_painter, has_graphics_card
 
-PATIENCE_MS = 30_000
+PATIENCE_MS = 120_000
 
 
 class PainterChoice(QObject):
