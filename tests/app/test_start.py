@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
 from radiant_app.commands.inspect.start_forecast import (
+    TOWN_DB,
     MachineRow,
     command_of,
     forecast_start,
@@ -104,6 +105,10 @@ def test_a_training_of_more_steps_and_pixels_takes_longer_by_the_law_of_its_curv
     assert told.parts_s["structure from motion"] == 24 and told.parts_s["device"] == 26
     assert usual.time.startswith("about 50 s (structure from motion 24 s, device 26 s") and "a test's machine" in usual.time
     assert "GB free" in usual.memory and fine.time.split()[2:3] in (["min"], ["h"])
+    for name, town_db in TOWN_DB.items():
+        expected = forecast_start(found, None, quality_of(name)).quality
+        assert "steps at" in expected and ("the sample town has" in expected) == (town_db is not None)
+    assert f"the sample town has {TOWN_DB['quick']:.1f} dB" in forecast_start(found, None, quality_of("quick")).quality
 
 
 def test_machines_of_a_form_become_a_system_that_is_planned_by(tmp_path: Path) -> None:
