@@ -3,13 +3,12 @@
 #
 # `vtkPointGaussianMapper` draws anisotropic Gaussians as 3D Gaussian Splatting has them. The code of
 # 3DGS projects one whose middle lies beside a window 1.3 times the picture as if it lay at the rim of
-# that window, and draws it. VTK drops it, whatever of the picture it covers: one whose
-# tail makes the rim three quarters white at 1.29 is gone at 1.31. From outside a scene nothing is missing; from
+# that window, and draws it. VTK drops it, whatever of the picture it covers: one whose tail makes the
+# rim three quarters white at 1.29 is gone at 1.31. From outside a scene nothing is missing; from
 # within it, 24 dB of a picture of 3,000 Gaussians became 58 once the two lines of the vertex shader
 # were replaced (`vtkShaderProperty.AddVertexShaderReplacement`).
 # It matters to who walks through a trained scene in VTK.
-# Seen on 2026-11-30 with VTK 9.7.2: "brightest pixel of 255, middle at 1.29: 189 at
-# 1.31: 0".
+# Seen on 2026-11-30 with VTK 9.7.2: "brightest pixel of 255, middle at 1.29: 189 at 1.31: 0".
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
