@@ -62,7 +62,7 @@ class SplatProcess(QObject):
     def __init__(self, parent: QObject, ply_path: Path, painter: Painter = "radiant") -> None:
         super().__init__(parent)
         self.is_ready = self.is_busy = self._is_ending = False
-        self.painter = painter
+        self.painter: Painter = painter
         self._slot = 0
         self._last_words = ""
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-")

@@ -170,7 +170,7 @@ class _WindowOwner:
 
     def __init__(self, opening: Opening) -> None:
         self._path, self._feeds, self._setting, self._scene = opening.path, opening.feeds, opening.setting, opening.scene
-        self._painter = opening.painter
+        self._painter: Painter | None = opening.painter
         self.window: InspectorWindow | WaitingWindow | None = None
 
     def load(self) -> _Reading | None:
