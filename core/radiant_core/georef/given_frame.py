@@ -47,11 +47,13 @@ class GivenFrame:
     """The system that the given frame is, where the model says so."""
     is_default: bool = False
     """Whether files are written in it where no other system is asked for."""
+    lowered: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """By how much a file's offset is less than that of the others."""
 
     @property
     def offset(self) -> FloatArray:
         """What is taken off the coordinates (3,) in files."""
-        return offset_of(self.given_from_scene.translation)
+        return offset_of(self.given_from_scene.translation) - self.lowered
 
     @property
     def file_from_scene(self) -> Sim3:
