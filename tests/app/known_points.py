@@ -29,6 +29,7 @@ from radiant_core.io.model_reader import read_model as read_splats
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
 from radiant_core.train.dense.fuse import DensePoints
+from radiant_viewer.layers.ortho_layer import ORTHO, ortho_layer
 
 NEAR_M = 1e-3
 CELL_M = 0.5
@@ -180,7 +181,8 @@ def _require_contours(places: np.ndarray, middle: np.ndarray, trained: Path, fol
     assert len(corners) > 100
     if epsg is not None:
         corners[:, :2] = np.column_stack(Transformer.from_crs("EPSG:4326", epsg, always_xy=True).transform(*corners[:, :2].T))
-    inside = np.abs(corners[:, 0] - middle[0]) < 5
+    # Away from the borders, where cells are filled.
+    inside = (np.abs(corners[:, :2] - middle[:2]) < 5).all(axis=1)
     aside_m = (corners[inside, 2] - middle[2]) / SLOPE - (corners[inside, 0] - middle[0])
     # Heights have four digits, which are half a tenth of a millimetre, and the plane is that steep.
     assert inside.sum() > 50 and np.abs(aside_m).max() < NEAR_M
@@ -195,6 +197,7 @@ def _require_balls(
     save_ply(trained / "scene.ply", model_at(inside_of(trained, file_from_map(balls)), 0.9))
     export(ExportRequest(model=trained, out=folder / "ortho.tif", format="ortho", resolution=0.02), quiet_display())
     with rasterio.open(folder / "ortho.tif") as file:
+        bounds = file.bounds
         rows, columns = np.nonzero(file.read(4) == 255)
         places = np.column_stack(file.transform @ np.array([columns + 0.5, rows + 0.5, np.ones(len(rows))]).reshape(3, -1))
     away_m, nearest = KDTree(balls[:, :2]).query(places[:, :2])
@@ -202,3 +205,10 @@ def _require_balls(
     # Of a disc of radius 53 px: a third of a millimetre is the raster's.
     centroids = np.array([places[nearest == number, :2].mean(axis=0) for number in range(9)])
     assert np.abs(centroids - balls[:, :2]).max() < NEAR_M
+    # The window shows the picture where the scene is.
+    (trained / "survey").mkdir()
+    (folder / "ortho.tif").rename(trained / ORTHO)
+    layer = ortho_layer(trained, load_scene_of(trained).frame, 0.0)
+    assert layer is not None and layer.picture is not None
+    corners = np.column_stack([[[bounds.left, bounds.top], [bounds.right, bounds.bottom]], np.full(2, middle[2])])
+    assert np.abs(layer.picture.corners[[0, 2], :2] - inside_of(trained, file_from_map(corners))[:, :2]).max() < 0.02
