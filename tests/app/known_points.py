@@ -143,7 +143,7 @@ def require_rasters(
     # A LAZ counts in millimetres, so half of one is rounded.
     assert KDTree(laspy.read(folder / "points.laz").xyz).query(places, p=np.inf)[0].max() < NEAR_M
     figures = export(replace(request, out=folder / "mesh.glb", format="glb"), quiet_display())
-    mesh = trimesh.load(folder / "mesh.glb", force="mesh")
+    mesh = trimesh.load_mesh(folder / "mesh.glb")
     vertices = np.asarray(mesh.vertices)[:, [0, 2, 1]] * (1, -1, 1) + offset_said(figures)
     cells = np.floor(vertices[:, :2] / CELL_M)
     is_measured = np.abs(vertices[:, 2] - heights(*cells.T)) < NEAR_M

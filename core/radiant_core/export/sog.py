@@ -178,13 +178,14 @@ def finer_shift(means: FloatArray, limit: float) -> FloatArray:
     """What to add to centres (N,3) so that 16 bits keep each coordinate within `limit`: the fewest
     whole hundreds an axis (3,), since ln(1 + |x|) is straighter the farther out x lies. Zeros where
     no shift is needed, and where none is enough."""
-    shifts = np.arange(MAX_SHIFTS) * SHIFT_STEP
+    shifts: FloatArray = np.arange(MAX_SHIFTS) * SHIFT_STEP
     ends = np.stack([means.min(axis=0), means.max(axis=0)]) + shifts[:, None, None]
     logs = np.sign(ends) * np.log1p(np.abs(ends))
     # Half a step of the logarithm, where a coordinate is largest.
     errors = np.ptp(logs, axis=1) / (2 * 65535) * (1 + np.abs(ends).max(axis=1))
     is_fine = errors <= limit
-    return shifts[is_fine.argmax(axis=0)] if is_fine.any(axis=0).all() else np.zeros(3)
+    fewest = np.where(is_fine.any(axis=0).all(), is_fine.argmax(axis=0), 0)
+    return np.asarray(shifts[fewest], np.float64)
 
 
 def _add_harmonics(splats: Splats, shape: tuple[int, int], textures: dict[str, NDArray[np.uint8]], meta: dict[str, Any]) -> float:
