@@ -178,7 +178,7 @@ def finer_shift(means: FloatArray, limit: float) -> FloatArray:
     """What to add to centres (N,3) so that 16 bits keep each coordinate within `limit`: the fewest
     whole hundreds an axis (3,), since ln(1 + |x|) is straighter the farther out x lies. Zeros where
     no shift is needed, and where none is enough."""
-    shifts: FloatArray = np.arange(MAX_SHIFTS) * SHIFT_STEP
+    shifts = np.arange(MAX_SHIFTS, dtype=np.float64) * SHIFT_STEP
     ends = np.stack([means.min(axis=0), means.max(axis=0)]) + shifts[:, None, None]
     logs = np.sign(ends) * np.log1p(np.abs(ends))
     # Half a step of the logarithm, where a coordinate is largest.
