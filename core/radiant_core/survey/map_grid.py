@@ -29,8 +29,8 @@ class MapFrame:
     frame: Frame
     system: Crs | None
     map_from_world: Sim3 | None = None
-    """Where the scene was given in coordinates of this map, or in metres that no map has: what leads
-    back to them, exactly."""
+    """Where the scene was given in coordinates of this map, or in metres that no map has: what
+    leads back to them, exactly."""
 
     @property
     def epsg(self) -> int | None:

@@ -1,5 +1,5 @@
-"""The map of a run: the system that is asked for, that of the alignment it was made from, or its UTM
-zone. Once per survey, and once per window that shows one."""
+"""The map of a run: the system that is asked for, that of the alignment it was made from, or its
+UTM zone. Once per survey, and once per window that shows one."""
 
 from __future__ import annotations
 
