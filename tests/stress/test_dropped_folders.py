@@ -50,8 +50,8 @@ def _folders_and_masks(folder: Path, images: Path, truth: Truth) -> str:
         shutil.copy(path, place)
     mask = np.full((240, 320), 255, np.uint8)
     mask[:40] = 0
-    (folder / "masks").mkdir()
-    cv2.imwrite(str(folder / "masks" / "drone_0000.png"), mask)
+    (folder / "masks" / "flight_0").mkdir(parents=True)
+    cv2.imwrite(str(folder / "masks" / "flight_0" / "drone_0000.png"), mask)
     return "masks/: masks of 1 of 12 photographs are used, black is left out."
 
 
@@ -83,7 +83,7 @@ def test_one_line_says_what_was_found(kind: str, bent, tmp_path: Path) -> None:
     ended = run_module("radiant_app", "run", folder, "--out", out, *SMALL, timeout_s=600)
     assert ended.returncode == 0, ended.stderr
     warnings = json.loads((out / "manifest.json").read_text())["warnings"]
-    lines = [warning for warning in warnings if told in warning]
+    lines = [warning for warning in warnings if told in warning and (kind not in WRITERS or "gives the poses of" in warning)]
     assert len(lines) == 1 and "\n" not in lines[0], warnings
     assert len(load_ply(out / "scene.ply")) > 100
     if kind in WRITERS:
