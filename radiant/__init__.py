@@ -7,7 +7,7 @@
 
 photographs → scene     reconstruct, load_scene              Scene, Cameras
 scene → plan            plan_regions                         System, RegionPlan
-scene → model           train, join, run             TrainConfig, TrainResult, RunConfig, Part
+scene → model           train, join, run                     TrainConfig, RunConfig, Part
 model → picture         render (numpy), rasterize (torch)    Splats, SplatTensors
 model → files           load_splats, save_splats, export
 run → picture           picture

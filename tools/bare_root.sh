@@ -3,10 +3,11 @@
 # without a compiler and runs the demo. Needs root and debootstrap; mounts vanish with the command; the root stays, to be looked at.
 set -euo pipefail
 
-usage="usage: tools/bare_root.sh [--wheel FILE] [--bind FOLDER]... SUITE FOLDER
+usage="usage: tools/bare_root.sh [--wheel FILE | --test] [--bind FOLDER]... SUITE FOLDER
   SUITE    bookworm, trixie, forky: a Debian
   FOLDER   the root: made by debootstrap if it is not there, otherwise used as it is
   --wheel  install this wheel with --only-binary :all: and no compiler, instead of the README's lines
+  --test   type ./setup.sh test too; variables PYTEST_* go along: PYTEST_ADDOPTS=tests/app/test_examples.py for the examples alone
   --bind   a folder of this machine that pip needs in there (wheels, certificates); variables PIP_* go along"
 
 fail() {
@@ -14,14 +15,16 @@ fail() {
   exit 2
 }
 
-wheel='' binds=()
+wheel='' with_tests='' binds=()
 while [[ "${1:-}" == --* ]]; do
   case "$1" in
     --wheel) wheel="$(realpath "$2")" ;;
     --bind) binds+=("$2") ;;
+    --test) with_tests=1 ;;
     *) fail "unknown option $1: see the top of this file." ;;
   esac
-  shift 2
+  [[ "$1" == --test ]] || shift
+  shift
 done
 [[ $# -eq 2 ]] || fail "$usage"
 [[ $EUID -eq 0 ]] || fail "chroot needs root: type it with sudo."
@@ -29,7 +32,7 @@ suite="$1" root="$2" checkout="$(git -C "$(dirname "${BASH_SOURCE[0]}")" rev-par
 
 # A private set of mounts: they are gone when the command ends, however it ends.
 if [[ -z "${BARE_ROOT_PRIVATE:-}" ]]; then
-  again=(${wheel:+--wheel "$wheel"})
+  again=(${wheel:+--wheel "$wheel"} ${with_tests:+--test})
   for folder in "${binds[@]}"; do again+=(--bind "$folder"); done
   BARE_ROOT_PRIVATE=1 exec unshare --mount --propagation private "${BASH_SOURCE[0]}" "${again[@]}" "$suite" "$root"
 fi
@@ -51,7 +54,7 @@ done
 typed() {
   echo "[$suite] $ $1"
   local variables=(HOME=/root PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8) started=$SECONDS
-  mapfile -t -O ${#variables[@]} variables < <(env | grep ^PIP_ || true)
+  mapfile -t -O ${#variables[@]} variables < <(env | grep -E '^(PIP|PYTEST)_' || true)
   env --ignore-environment "${variables[@]}" nice -n 10 chroot "$root" bash -c "cd /home/radiant && $1"
   echo "[$suite] ended well after $((SECONDS - started)) s"
 }
@@ -80,6 +83,8 @@ readme() {
   typed "$inspect --screenshot window.png"
   sed -n '/^```python/,/^```/p' "$checkout/README.md" | sed '/^```/d' >"$root/home/radiant/readme.py"
   typed ".venv/bin/python readme.py"
+  # The examples, the notebook and these lines of Python are tests among the others.
+  [[ -z "$with_tests" ]] || typed "$(readme_line './setup.sh test')"
 }
 
 without_compiler() {

@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
-import importlib
-import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial import KDTree
 
 from radiant_app.commands.export.export import export
 from radiant_app.commands.export.request import ExportRequest
 from radiant_app.commands.run.train import TrainRequest, train
 from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Warned
-from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.source_key import used_files
-from radiant_app.workers.sources import NO_POSES, detect_source, load_scene_of, reconstruct_source, sfm_task
+from radiant_app.workers.sources import NO_POSES, detect_source, reconstruct_source, sfm_task
 from radiant_core.errors import BadInput
-from radiant_core.georef.given_frame import load_given_frame
 from radiant_core.io.colmap.model import read_model
-from radiant_core.io.model_reader import read_model as read_splats
 from radiant_core.io.photos.masks import save_mask
-from radiant_core.io.ply import save_ply
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.pose_project import read_named, said_of
 from radiant_core.sfm.world_frame.placement import Placement
-from radiant_core.splats import Splats
 from radiant_core.train.needs import Overrides
+from tests.app.known_points import NEAR_M, geocentric_of_utm, offset_said, quiet_display, require_models, require_rasters
 from tests.colmap_projects import HAMLET, center_of, hamlet_model, write_model
 from tests.core.io.poses import writers
 from tests.core.io.poses.bent_hamlet import Truth, bent_hamlet
@@ -150,14 +144,32 @@ def test_devices_that_place_their_own_photographs_take_no_poses(project) -> None
         RunConfig(source=folder, out=folder / "run", frames="gps", sfm=SfmOptions(poses=folder / "transforms.json"))
 
 
-@pytest.mark.parametrize("place", ["local", "utm", "ecef"])
-def test_a_training_says_what_it_used_and_exports_in_the_coordinates_of_the_file(place: str, project, tmp_path: Path) -> None:
-    """The camera's place is a known point: in every export it is the file's within 1 mm."""
-    folder, truth = project
+FAR = np.array([112_000.0, 54_000.0, 300.0])
+
+
+def written_at(place: str, folder: Path, truth: Truth) -> tuple[np.ndarray, np.ndarray]:
+    """Write an alignment whose world lies there; rotation and shift from the hamlet's metres to its coordinates."""
     if place == "utm":
         writers.pix4d(folder, truth, prj="EPSG:25832")
-    else:
-        writers.metashape(folder, truth, ecef=ECEF if place == "ecef" else None)
+        return np.eye(3), writers.UTM
+    if place == "far":
+        writers.realityscan(folder, replace(truth, t=truth.t - truth.R @ FAR))
+        return np.eye(3), FAR
+    if place == "enu":
+        writers.opensfm(folder, truth)
+        return np.eye(3), np.zeros(3)
+    writers.metashape(folder, truth, ecef=ECEF if place == "ecef" else None)
+    return (ECEF[:3, :3], ECEF[:3, 3]) if place == "ecef" else (np.eye(3), np.zeros(3))
+
+
+@pytest.mark.parametrize("place", ["local", "far", "enu", "utm", "ecef"])
+def test_a_training_says_what_it_used_and_exports_in_the_coordinates_of_the_file(
+    place: str, project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Known points and the cameras' places: in every export they are the file's within 1 mm. local, far: metres, near and 100 km
+    from their origin; enu: metres of a place on the globe."""
+    folder, truth = project
+    turn, shift = written_at(place, folder, truth)
     (folder / "scene.nvm").write_text("NVM_V3")
     told: list[str] = []
     request = TrainRequest(source=folder, out=tmp_path / "out", overrides=Overrides(num_steps=4, long_side_px=64))
@@ -165,71 +177,19 @@ def test_a_training_says_what_it_used_and_exports_in_the_coordinates_of_the_file
     first = next(message for message in told if "gives the poses of" in message)
     assert "12 photographs" in first and first.endswith("beside the photographs there are 1 .nvm (poses of VisualSfM): they are not used.")
     assert sum("are not used" in message for message in told) == 1
-    centers = truth.C @ ECEF[:3, :3].T + ECEF[:3, 3] if place == "ecef" else truth.C + (writers.UTM if place == "utm" else 0)
     for crs in (None, "given", *(("EPSG:25832",) if place == "utm" else ())):
         out = tmp_path / f"colmap_{crs}".replace(":", "_")
-        figures = export(ExportRequest(model=tmp_path / "out", out=out, crs=crs), quiet_display())
-        offset = np.array([float(number) for number in str(figures["offset"]).partition(" (")[0].split(", ")])
+        offset = offset_said(export(ExportRequest(model=tmp_path / "out", out=out, crs=crs), quiet_display()))
         given = {image.name: center_of(image) + offset for image in read_model(out / "sparse" / "0").images}
         assert len(given) == 12
-        assert max(np.abs(given[name] - centers[number]).max() for number, name in enumerate(truth.names)) < 1e-3
+        wanted = truth.C @ turn.T + shift
+        assert max(np.abs(given[name] - wanted[number]).max() for number, name in enumerate(truth.names)) < NEAR_M
         assert (tmp_path / f"{out.name}.prj").is_file() == (place == "utm")
-    points = truth.points @ ECEF[:3, :3].T + ECEF[:3, 3] if place == "ecef" else truth.points + (writers.UTM if place == "utm" else 0)
-    require_known_points(tmp_path / "out", points, tmp_path, ("given", "EPSG:25832") if place == "utm" else ("given",))
-
-
-def require_known_points(trained: Path, points: np.ndarray, folder: Path, systems: tuple[str, ...]) -> None:
-    """A model of Gaussians at points whose coordinates in the file are known goes out within 1 mm in every form of a model; SOG
-    has 16 bits for ln(1 + |x|), steps of up to 3 mm here."""
-    given = load_given_frame(trained)
-    assert given is not None
-    inside = given.given_from_scene.inverse().apply(points).astype(np.float32)
-    count = len(inside)
-    model = Splats(
-        means=inside,
-        quats=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
-        log_scales=np.full((count, 3), -4, np.float32),
-        logit_opacities=np.full(count, 3, np.float32),
-        sh0=np.zeros((count, 1, 3), np.float32),
-        shN=np.zeros((count, 0, 3), np.float32),
-    )
-    save_ply(trained / "scene.ply", model)
-    for crs in systems:
-        for name in ("a.ply", "b.spz", "c.sog", "d.usdc"):
-            out = folder / f"{crs}_{name}".replace(":", "_")
-            figures = export(ExportRequest(model=trained, out=out, crs=crs), quiet_display())
-            offset = np.array([float(number) for number in str(figures["offset"]).partition(" (")[0].split(", ")])
-            written = usd_positions(out) if name == "d.usdc" else read_splats(out).splats.means
-            away_m, nearest = KDTree(written.astype(np.float64)).query(points - offset)
-            assert away_m.max() < (3e-3 if name == "c.sog" else 1e-3), (crs, name)
-            assert len(set(nearest.tolist())) > 0.9 * count
-        out = folder / f"{crs}_nerfstudio".replace(":", "_")
-        figures = export(ExportRequest(model=trained, out=out, crs=crs, format="nerfstudio"), quiet_display())
-        offset = np.array([float(number) for number in str(figures["offset"]).partition(" (")[0].split(", ")])
-        frames = json.loads((out / "transforms.json").read_text())
-        places = {Path(frame["file_path"]).name: np.array(frame["transform_matrix"])[:3, 3] for frame in frames["frames"]}
-        applied = np.array(frames.get("applied_transform", np.eye(3, 4)))
-        scene = load_scene_of(trained).cameras
-        wanted = given.given_from_scene.apply(scene.centers)
-        for row, camera in enumerate(scene.names):
-            # applied_transform leads from the original to what the file holds.
-            original = applied[:, :3].T @ (places[Path(camera).name] - applied[:, 3])
-            assert np.abs(original + offset - wanted[row]).max() < 1e-3
-
-
-def usd_positions(path: Path) -> np.ndarray:
-    usd, vol = (importlib.import_module(f"pxr.{name}") for name in ("Usd", "UsdVol"))
-
-    stage = usd.Stage.Open(str(path))
-    return np.array(vol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/Scene/Splats")).GetPositionsAttr().Get())
-
-
-def quiet_display() -> ProgressDisplay:
-    import io
-
-    from rich.console import Console
-
-    return ProgressDisplay(Console(file=io.StringIO()))
+    systems = ("given", "EPSG:25832") if place == "utm" else ("given",)
+    require_models(tmp_path / "out", truth.points @ turn.T + shift, tmp_path, systems)
+    file_from_map = {"ecef": geocentric_of_utm, "enu": lambda places: (geocentric_of_utm(places) - ECEF[:3, 3]) @ ECEF[:3, :3]}
+    epsg = {"utm": 25832, "ecef": 32632, "enu": 32632}.get(place)
+    require_rasters(tmp_path / "out", file_from_map.get(place, np.copy), monkeypatch, tmp_path, epsg)
 
 
 @pytest.mark.parametrize("refine_poses", [False, True])

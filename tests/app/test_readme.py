@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,6 +21,25 @@ def test_the_library_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     (psnr_db,) = re.findall(r"^Scores\((\d+\.\d+) dB PSNR", capsys.readouterr().out, re.MULTILINE)
     assert float(psnr_db) > 15  # grey has 12 dB
     assert (tmp_path / "hamlet.ply").exists()
+
+
+def test_the_python_of_its_page_runs_at_small_size(hamlet_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pasted one after the other, with fewer steps and smaller pictures than they stand there."""
+    page = (ROOT / "docs" / "python.md").read_text()
+    code = "\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
+    for usual, small in (
+        ("num_steps=800, long_side_px=384", "num_steps=20, long_side_px=96"),
+        ("long_side_px=384", "long_side_px=96"),
+        ('**{"density.kind": "none"}', 'num_steps=101, long_side_px=96, **{"density.kind": "none"}'),
+    ):
+        assert usual in code
+        code = code.replace(usual, small)
+    (tmp_path / "SCENE").symlink_to(hamlet_scene)
+    monkeypatch.chdir(tmp_path)
+    said: dict[str, Any] = {"__name__": "__main__"}
+    exec(compile(code, "python.md", "exec"), said)
+    assert said["view"].image.shape[2] == 3 and (tmp_path / "town.ply").exists()
+    assert len(said["result"].splats) > 0
 
 
 def test_ci_runs_the_readmes_test_command() -> None:

@@ -148,7 +148,7 @@ def test_a_bare_root_is_given_folders_with_blanks_in_their_names(tmp_path: Path)
     tool.write_text(text.replace("$EUID -eq 0", "1 -eq 1"))
     assert tool.read_text() != text
     subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
-    line = ["bash", str(tool), "--bind", "/a folder", "--bind", "/b", "trixie", "/tmp/a root"]
+    line = ["bash", str(tool), "--test", "--bind", "/a folder", "--bind", "/b", "trixie", "/tmp/a root"]
     subprocess.run(line, check=True, env={**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"})
     given = (tmp_path / "given").read_text().splitlines()
     assert given == ["--mount", "--propagation", "private", str(tool), *line[2:]]

@@ -13,7 +13,7 @@ from typer.main import get_command
 from benchmarks.cli import app as benchmarks
 from radiant_app.cli.app import app
 from radiant_app.config.fields import config_fields
-from tests.architecture.test_pages import EXPERIMENTS, GENERATED, PAGES, page_id
+from tests.architecture.test_pages import EXPERIMENTS, GENERATED, PAGES, ROOT, page_id
 
 SHOWN = [page for page in [*PAGES, *EXPERIMENTS] if page != GENERATED]
 
@@ -50,6 +50,20 @@ def faults(words: list[str]) -> list[str]:
 def test_every_command_of_a_page_can_be_typed(page: Path) -> None:
     shown = [words for words in commands(page.read_text()) if words]
     assert [(" ".join(words), wrong) for words in shown if (wrong := faults(words))] == []
+
+
+@pytest.mark.parametrize("page", [*EXPERIMENTS, ROOT / "README.md"], ids=page_id)
+def test_every_page_of_figures_names_a_command_that_makes_them(page: Path) -> None:
+    text = page.read_text()
+    made = [words for words in commands(text) if words and words[0] in ("bench", "run", "train", "plan", "export", "machine", "join")]
+    modules = [*re.findall(r"python -m ((?:tests|benchmarks)\.[\w.]+)", text), *re.findall(r"pytest (?:-m stress )?(tests/[\w/]+)", text)]
+    is_linked = page.name == "README.md" and "[figures](docs/experiments/" in text
+    assert made or modules or is_linked
+    assert [name for name in modules if not any(_is_kept(name.replace(".", "/"), ending) for ending in ("", ".py"))] == []
+
+
+def _is_kept(name: str, ending: str) -> bool:
+    return (ROOT / f"{name}{ending}").exists()
 
 
 def test_what_cannot_be_typed_is_found() -> None:

@@ -44,6 +44,9 @@ four runs' models three views each are 0.2 to 5.4 dB nearer than with 0, from th
 (demo 52.7, 51.1, 51.5 to 53.7, 52.1, 52.0; lewis 52.6, 48.1, 53.1 to 55.6, 53.5, 54.1)."""
 USUAL_SHARE, BEYOND_USUAL = 0.999, 1.5
 """Scales more than e^1.5 above this share of all count as much as those."""
+FINE_M = 1e-3
+"""How near to its place a file in a map's coordinates should keep a centre."""
+SHIFT_STEP, MAX_SHIFTS = 100.0, 21
 _STORED_COMPONENTS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
@@ -169,6 +172,20 @@ def moved_sentence(splats: Splats) -> str:
         f"SOG has 16 bits for a coordinate: {int(is_far.sum()):,} of {len(splats):,} Gaussians move by more than half of their size, up to "
         f"{moved[is_far].max():.3g} units; clean the model of what lies far out, or write --lod or PLY."
     )
+
+
+def finer_shift(means: FloatArray, limit: float) -> FloatArray:
+    """What to add to centres (N,3) so that 16 bits keep each coordinate within `limit`: the fewest
+    whole hundreds an axis (3,), since ln(1 + |x|) is straighter the farther out x lies. Zeros where
+    no shift is needed, and where none is enough."""
+    shifts = np.arange(MAX_SHIFTS, dtype=np.float64) * SHIFT_STEP
+    ends = np.stack([means.min(axis=0), means.max(axis=0)]) + shifts[:, None, None]
+    logs = np.sign(ends) * np.log1p(np.abs(ends))
+    # Half a step of the logarithm, where a coordinate is largest.
+    errors = np.ptp(logs, axis=1) / (2 * 65535) * (1 + np.abs(ends).max(axis=1))
+    is_fine = errors <= limit
+    fewest = np.where(is_fine.any(axis=0).all(), is_fine.argmax(axis=0), 0)
+    return np.asarray(shifts[fewest], np.float64)
 
 
 def _add_harmonics(splats: Splats, shape: tuple[int, int], textures: dict[str, NDArray[np.uint8]], meta: dict[str, Any]) -> float:

@@ -47,11 +47,13 @@ class GivenFrame:
     """The system that the given frame is, where the model says so."""
     is_default: bool = False
     """Whether files are written in it where no other system is asked for."""
+    lowered: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """By how much a file's offset is less than that of the others."""
 
     @property
     def offset(self) -> FloatArray:
         """What is taken off the coordinates (3,) in files."""
-        return offset_of(self.given_from_scene.translation)
+        return offset_of(self.given_from_scene.translation) - self.lowered
 
     @property
     def file_from_scene(self) -> Sim3:
@@ -84,7 +86,7 @@ class GivenFrame:
         turned_deg = np.degrees(np.arccos(np.clip((np.trace(move.rotation) - 1) / 2, -1, 1)))
         adjusted = f", to {self.largest_error:.2g} after the adjustment" if self.largest_error else ""
         turned = [f"turned by {turned_deg:.1f}°"] if turned_deg > 1e-6 else []
-        scaled = "in its own unit" if move.scale == 1 else f"scaled by {move.scale:.4g}"
+        scaled = "in its own unit" if move.scale == 1 else f"scaled by {move.scale:.6g}"
         export = "`radiant export`" if self.is_default else f"`radiant export --crs {GIVEN_CRS}`"
         return (
             f"the scene is {self.model}, {', '.join([*turned, 'moved', scaled])}: {NAME} beside it has the matrix back{adjusted}, and "

@@ -29,7 +29,8 @@ class MapFrame:
     frame: Frame
     system: Crs | None
     map_from_world: Sim3 | None = None
-    """Where the scene was given in coordinates of this map: what leads back to them, exactly."""
+    """Where the scene was given in coordinates of this map, or in metres that no map has: what
+    leads back to them, exactly."""
 
     @property
     def epsg(self) -> int | None:
@@ -44,37 +45,38 @@ class MapFrame:
     def from_world(self, points: ArrayLike) -> FloatArray:
         """East, north, height (P,3) on the map of points (P,3) of the world."""
         points = check_array("points", points, (None, 3))
+        if self.map_from_world is not None and len(points):
+            return self.map_from_world.apply(points)
         if self.system is None or not len(points):
             return points.copy()
-        if self.map_from_world is not None:
-            return self.map_from_world.apply(points)
         return self.system.from_geodetic(geodetic_from_enu(points, self.frame.origin_lat_lon_alt))
 
     def to_world(self, places: ArrayLike) -> FloatArray:
         """Points (P,3) of the world of east, north, height (P,3) on the map."""
         places = check_array("places", places, (None, 3))
+        if self.map_from_world is not None and len(places):
+            return self.map_from_world.inverse().apply(places)
         if self.system is None or not len(places):
             return places.copy()
-        if self.map_from_world is not None:
-            return self.map_from_world.inverse().apply(places)
         return enu_from_geodetic(self.system.to_geodetic(places), self.frame.origin_lat_lon_alt)
 
     @property
     def crs(self) -> str:
         """The map in words."""
-        return "none, the model's own coordinates" if self.system is None else self.system.title
+        owner = "model" if self.map_from_world is None else "alignment"
+        return f"none, the {owner}'s own coordinates" if self.system is None else self.system.title
 
 
 def map_frame_of(frame: Frame, system: Crs | None = None, map_from_world: Sim3 | None = None) -> MapFrame:
     """The map of a frame: `system`, by default the UTM zone of its origin; `map_from_world`, where
-    the scene was given in coordinates of that system. BadInput for one where the frame has no place
+    the scene was given in coordinates of that map. BadInput for one where the frame has no place
     on the globe."""
     if frame.kind != "metric":
         if system is not None:
             raise BadInput(
                 f"{system.title} was asked for, but the scene has no place on the globe: leave it out, or give photographs with GPS."
             )
-        return MapFrame(frame=frame, system=None)
+        return MapFrame(frame=frame, system=None, map_from_world=map_from_world)
     lat, lon, _ = frame.origin_lat_lon_alt.tolist()
     if system is None:
         return MapFrame(frame=frame, system=parse_crs(f"EPSG:{utm_epsg(lat, lon)}"))

@@ -11,6 +11,8 @@ from glob import escape as glob_escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
+import numpy as np
+
 from radiant_app.commands.export.request import LEVELLED, OF_HEIGHTS, PLACED, ExportRequest, exported_model, placed, require_options, run_of
 from radiant_app.commands.model.place import crs_warnings, place_of
 from radiant_app.events import Decided, Warned
@@ -23,6 +25,7 @@ from radiant_core.errors import BadInput
 from radiant_core.georef.crs import parse_crs
 from radiant_core.georef.sidecar import require_no_sidecar
 from radiant_core.io.ply import save_ply
+from radiant_core.numerics import FloatArray
 
 if TYPE_CHECKING:
     from radiant_core.geometry.surface import Surface
@@ -47,6 +50,8 @@ _WANTED = {
     "ortho": (".tif", ".tiff"),
 }
 _SHARING_A_SIDECAR = (*_WANTED["ply"], *_WANTED["spz"], *_WANTED["sog"], *_WANTED["usd"])
+SHARE_OF_LIMIT = 0.95
+"""Of a millimetre: what float32 rounds comes on top."""
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its
 own, on the average: with fewer no gap can be told from what was seen."""
@@ -116,17 +121,33 @@ def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 
 def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_core.export.sog import moved_sentence, save_sog
+    from radiant_core.export.sog import FINE_M, finer_shift, moved_sentence, save_sog
 
     splats, cleaned = exported_model(request, display)
     splats, place = placed(request, splats)
+    shift = np.zeros(3)
+    if place.move is not None and len(splats):
+        shift = finer_shift(splats.means.astype(np.float64), SHARE_OF_LIMIT * FINE_M / place.unit_m)
+        splats, place = replace(splats, means=(splats.means + shift).astype(np.float32)), place.lowered(shift)
     if lost := moved_sentence(splats):
         display(Warned(stage="export", message=lost))
     errors = save_sog(request.out, splats)
     # In the file's unit, which may be a foot.
     errors = replace(errors, position_max_m=errors.position_max_m * place.unit_m)
+    if shift.any() or (place.move is not None and errors.position_max_m > FINE_M):
+        display(Decided(decision=_sog_decision(errors.position_max_m, shift)))
     figures = {name: float(f"{value:.3g}") for name, value in asdict(errors).items()}
     return {"gaussians": len(splats), **figures, **cleaned, **place.write(request.out)}
+
+
+def _sog_decision(error_m: float, shift: FloatArray) -> Decision:
+    east, north, up = shift
+    if shift.any():
+        choice, why = f"an offset that is {east:.0f}, {north:.0f}, {up:.0f} less than in other files", "keep a millimetre of them there"
+    else:
+        choice, why = "the offset of the other files", "keep no millimetre of a scene as wide: PLY does"
+    reason = f"SOG has 16 bits for ln(1 + |x|) of a coordinate, which {why}"
+    return Decision(stage="export", topic="positions of SOG", choice=choice, figure=1000 * error_m, unit="mm", reason=reason)
 
 
 def _usd(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:

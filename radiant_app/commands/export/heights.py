@@ -133,7 +133,8 @@ def export_glb(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
 
     surface = _find(request, display)
     map_frame = surface.survey.map_frame
-    offset = np.zeros(3) if map_frame.system is None else map_offset(map_frame.from_world(np.zeros((1, 3)))[0])
+    has_map = map_frame.system is not None or map_frame.map_from_world is not None
+    offset = map_offset(map_frame.from_world(np.zeros((1, 3)))[0]) if has_map else np.zeros(3)
     mesh = height_mesh(surface.heights, offset)
     picture = _picture(surface, display)
     about = {"crs": map_frame.crs, "offset_east_north_height": offset.tolist(), "axes": "east, up, south"}

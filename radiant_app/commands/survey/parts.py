@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_app.commands.model.place import grid_system
 from radiant_app.commands.run.steps import stage_bar
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
@@ -15,7 +14,8 @@ from radiant_core.geometry.cleaning import Cleaning
 from radiant_core.geometry.support import Support
 from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
-from radiant_core.survey.map_grid import MapFrame, map_frame_of
+from radiant_core.survey.map_grid import MapFrame
+from radiant_core.survey.run_map import map_of_run
 from radiant_core.survey.seen_ground import SeenGround, seen_ground
 from radiant_viewer.runs.run_view import RunView, load_run_view, require_splats, run_support
 
@@ -55,9 +55,7 @@ def load_survey(folder: Path, crs: str | None = None, *, as_trained: bool = Fals
     if not folder.is_dir():
         raise BadInput(f"{folder} is no folder of a run: a survey needs the cameras beside the model.")
     run = load_run_view(folder, as_trained=as_trained)
-    frame = run.scene.frame
-    system, map_from_world = grid_system(folder, crs, frame)
-    map_frame = map_frame_of(frame, system, map_from_world)
+    map_frame = map_of_run(folder, run.scene.frame, crs)
     return Survey(run=run, splats=require_splats(run), map_frame=map_frame, ground=seen_ground(run.scene, map_frame))
 
 

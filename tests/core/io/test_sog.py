@@ -13,7 +13,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.export import sog
-from radiant_core.export.sog import BEYOND_USUAL, SIZE_POWER, USUAL_SHARE, save_sog
+from radiant_core.export.sog import BEYOND_USUAL, FINE_M, SIZE_POWER, USUAL_SHARE, finer_shift, save_sog
 from radiant_core.splats import Splats, morton_order
 
 
@@ -228,3 +228,17 @@ def test_rows_are_split_at_the_mean_of_their_widest_axis_and_equal_ones_stay_tog
 
 def test_the_format_has_16_bit_labels_and_64_rows_a_line() -> None:
     assert (sog.MAX_ROWS, sog.ROWS_PER_LINE, sog.CODES) == (2**16, 64, 2**8)
+
+
+@pytest.mark.parametrize(("low", "high"), [(30.0, 80.0), (-45.0, 45.0), (0.0, 70.0), (-210.0, -110.0)])
+def test_whole_hundreds_farther_out_centres_keep_a_millimetre(low: float, high: float, tmp_path: Path) -> None:
+    means = np.random.default_rng(0).uniform(low, high, (2000, 3))
+    shift = finer_shift(means, 0.95 * FINE_M)
+    assert (shift % 100 == 0).all() and shift.any() == (low != 30.0)
+    moved = replace(model(2000), means=(means + shift).astype(np.float32))
+    assert save_sog(tmp_path / "a.sog", moved).position_max_m < FINE_M
+    assert np.abs(decoded(tmp_path / "a.sog")["means"] - moved.select(morton_order(moved.means)).means).max() < FINE_M
+
+
+def test_no_shift_where_none_is_enough() -> None:
+    assert not finer_shift(np.random.default_rng(0).uniform(-200, 200, (2000, 3)), FINE_M).any()

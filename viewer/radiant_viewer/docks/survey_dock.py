@@ -29,7 +29,7 @@ from PySide6.QtWidgets import (
 from radiant_core.choices import MeasureKind
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.measures_file import figures_text, load_measures
-from radiant_core.survey.map_grid import map_frame_of
+from radiant_core.survey.run_map import map_of_run
 from radiant_viewer.docks.ortho_job import OrthoJob
 from radiant_viewer.host.line_process import LineProcess
 from radiant_viewer.host.place_tool import PlaceTool
@@ -55,7 +55,7 @@ class SurveyDock(QDockWidget):
         super().__init__("Measures")
         self.setObjectName("measures")
         self._host, self._run, self._unit = host, run, unit
-        self._map = None if run is None else map_frame_of(run.scene.frame)
+        self._map = None if run is None else map_of_run(run.folder, run.scene.frame)
         self._sent: list[str] = []
         """What is not answered yet, in order."""
         self._quick = ""

@@ -13,6 +13,7 @@ from radiant_core.geometry.cleaning_file import cleaning_path
 from radiant_core.georef.crs import parse_crs
 from radiant_core.io.map_picture import MapPicture, load_map_picture
 from radiant_core.survey.map_grid import MapFrame
+from radiant_core.survey.run_map import local_metres_of
 from radiant_viewer.layers.layer import Layer, LayerPicture, LegendEntry
 from radiant_viewer.layers.palette import GREY
 
@@ -38,16 +39,19 @@ def map_picture_layer(path: Path, run: Path, frame: Frame, height: float, layer:
     if (picture.epsg is None) != (frame.kind != "metric"):
         raise BadInput(f"{path} and the run do not both have a place on the globe: make it anew.")
     system = None if picture.epsg is None else parse_crs(f"EPSG:{picture.epsg}").at(*frame.origin_lat_lon_alt[:2].tolist())
-    corners = MapFrame(frame=frame, system=system).to_world(_corners(picture, frame, height))
+    local = None if picture.epsg is not None else local_metres_of(run, frame)
+    map_frame = MapFrame(frame=frame, system=system, map_from_world=local)
+    corners = map_frame.to_world(_corners(picture, map_frame, height))
     note = " (older than the model: make it anew)" if _is_outdated(path, run) else ""
     size = LegendEntry(text=f"{picture.image.shape[1]} × {picture.image.shape[0]} px{note}", color=GREY, marker="area")
     return replace(layer, picture=LayerPicture(image=picture.image, corners=corners), legend=(*layer.legend, size))
 
 
-def _corners(picture: MapPicture, frame: Frame, height: float) -> np.ndarray:
+def _corners(picture: MapPicture, map_frame: MapFrame, height: float) -> np.ndarray:
     """North-west, north-east, south-east, south-west (4,3) of the map."""
     (west, north), (east, south) = picture.north_west, picture.south_east
-    level = height + (float(frame.origin_lat_lon_alt[2]) if picture.epsg is not None else 0.0)
+    altitude = float(map_frame.frame.origin_lat_lon_alt[2])
+    level = height + altitude if picture.epsg is not None else float(map_frame.from_world([[0.0, 0.0, height]])[0, 2])
     return np.array([[west, north, level], [east, north, level], [east, south, level], [west, south, level]])
 
 

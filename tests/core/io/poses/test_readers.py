@@ -122,16 +122,23 @@ def test_half_a_pixel_is_seen_where_the_file_says_what_its_photographs_see(name:
         read_project(write(tmp_path, truth, "half"), photos)
 
 
-@pytest.mark.parametrize("name", ["nerfstudio", "pyopf"])
+WRITTEN = {
+    "nerfstudio": ("transforms.json", (*BROWN[:4], 0.0), {}, None, True),
+    "pyopf": ("project.opf", BROWN, {}, "utm", False),
+    "colmap": ("model.bundle.out", SIMPLE, CENTRED, None, True),
+}
+"""File, lens, what of the truth differs, where its world lies, and whether it has points."""
+
+
+@pytest.mark.parametrize("name", WRITTEN)
 def test_what_the_programs_wrote_themselves_is_the_truth(name: str, bent) -> None:
-    """colmap_to_json of nerfstudio 1.1.5 from a binary COLMAP model of the truth; pyopf 1.4.1's classes and its `save`."""
-    dist = (*BROWN[:4], 0.0) if name == "nerfstudio" else BROWN
-    photos, truth = bent(dist, {})
-    folder = Path(__file__).parent / "written" / name
-    (path,) = [path for path in folder.iterdir() if path.name in ("transforms.json", "project.opf")]
-    project = read_project(path, photos)
-    _require_truth(project, truth, *world_of(truth, "utm" if name == "pyopf" else None))
-    assert len(project.alignment.points) == (0 if name == "pyopf" else len(truth.points))
+    """colmap_to_json of nerfstudio 1.1.5 from a binary COLMAP model of the truth; pyopf 1.4.1's classes and its `save`; Bundler's
+    files of `colmap model_converter` 3.8 from a model of the truth in text."""
+    file, dist, changed, place, has_points = WRITTEN[name]
+    photos, truth = bent(dist, changed)
+    project = read_project(Path(__file__).parent / "written" / name / file, photos)
+    _require_truth(project, truth, *world_of(truth, place))
+    assert len(project.alignment.points) == (len(truth.points) if has_points else 0)
 
 
 @pytest.mark.parametrize("name", ["opensfm with tracks", "openmvg", "realityscan"])
