@@ -27,7 +27,7 @@ def drawn(cloud: str) -> tuple[float, SeamFinding, Image]:
 
 
 def test_the_error_at_a_cut_is_named_in_the_view_and_joining_takes_it_away() -> None:
-    (cut_db, cut, cut_view), (joined_db, join, joined_view) = drawn("crop_merge"), drawn("retrain")
+    (cut_db, cut, cut_view), (joined_db, join, joined_view) = drawn("crop_merge"), drawn("fade")
     # 3.3 and 0.6 dB were measured.
     assert joined_db < cut_db - 0.5 and cut.has_seam and cut.excess_db == cut_db and join.excess_db is None
     # The label of the cut has that figure beside its step: its white ground is the larger one.

@@ -183,7 +183,8 @@ def main(run: Path, folder: Path, names: list[str]) -> None:
                 window.save_window_picture(png)
 
             use_window(copy, act)
-            cv2.imwrite(str(folder / f"{png.stem}.jpg"), load_image(png)[:, :, ::-1], JPEG)
+            if not cv2.imwrite(str(folder / f"{png.stem}.jpg"), load_image(png)[:, :, ::-1], JPEG):
+                raise BadInput(f"{folder} takes no pictures: name a folder that exists.")
             print(folder / f"{png.stem}.jpg")
 
 
