@@ -19,7 +19,7 @@ from typing import IO, Any
 from radiant_app.executors.fork_server import ForkServer, keep_servers, open_server, start_server
 from radiant_app.executors.sessions import signal_session
 
-IMPORTED = ("zlib", "torch", "pycolmap", "cv2", "pydantic", "scipy.optimize", "scipy.spatial", "shapely", "typer", "rich.progress")
+IMPORTED = ("zlib", "torch", "pycolmap", "cv2", "pydantic.fields", "scipy.optimize", "scipy.spatial", "shapely", "typer", "rich.progress")
 """Libraries alone, for commands: what the project's modules import, and when, is as in a process that starts anew."""
 PATIENCE_S = 600.0
 _keeping = keep_servers()

@@ -21,7 +21,7 @@ from tests.forked import run_module, start_module
 
 ROOT = Path(__file__).parents[2]
 LIBRARIES = (
-    *("zlib", "torch", "cv2", "pydantic", "scipy.optimize", "scipy.spatial", "shapely", "matplotlib.figure"),
+    *("zlib", "torch", "cv2", "pydantic.fields", "scipy.optimize", "scipy.spatial", "shapely", "matplotlib.figure"),
     *("pyvista", "pyvistaqt", "trame.app", "trame.widgets.vtk", "trame_vuetify"),
 )
 """What a window or a page imports before it shows anything, 1.7 s of CPU time. Libraries alone, as in `forked.IMPORTED`."""
