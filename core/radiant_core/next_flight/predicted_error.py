@@ -14,14 +14,13 @@ there exceed, `rank` the correlation of ranks. M samples: a facet in a held-out 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
-from scipy.stats import rankdata
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -100,13 +99,14 @@ class ErrorModel:
 
 
 def errors_in_views(
-    splats: Splats, cameras: Cameras, images: Sequence[NDArray[np.uint8]], sightings: Sequence[Sighting], cell: float
+    splats: Splats, cameras: Cameras, images: Iterable[NDArray[np.uint8]], sightings: Sequence[Sighting], cell: float
 ) -> Iterator[FloatArray]:
     """Per camera the mean squared error (R,) of the model about the pixels of the facets that it
     sees, over a square as wide as a cell there usually is; images (H,W,3) of the cameras' sizes."""
     for view, image, sighting in zip(render_views(splats, cameras), images, sightings, strict=True):
         photograph = image.astype(np.float32) / 255
-        squared = np.square(correct_colors(np.clip(view.image, 0, 1), photograph) - photograph).mean(axis=2)
+        difference = correct_colors(view.image, photograph) - photograph
+        squared = np.einsum("hwc,hwc->hw", difference, difference) / 3
         side = max(1, round(cell / float(np.median(sighting.gsd)))) if len(sighting.rows) else 1
         smooth = cv2.blur(squared, (side, side), borderType=cv2.BORDER_REFLECT)
         columns, lines = sighting.pixels.astype(np.int64).T if len(sighting.rows) else np.zeros((2, 0), np.int64)
@@ -129,7 +129,14 @@ def decibels(squared: FloatArray) -> FloatArray:
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> float:
     """Spearman's correlation of two lists (M,)."""
-    return float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
+    return float(np.corrcoef(_ranks(a), _ranks(b))[0, 1])
+
+
+def _ranks(values: FloatArray) -> FloatArray:
+    """Ranks (M,), the mean of theirs for equal values. `scipy.stats.rankdata`, whose module takes a
+    second to load."""
+    _, owner, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(counts) - (counts - 1) / 2)[owner]
 
 
 def error_samples(train_db: FloatArray, score: FloatArray, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> ErrorSamples:
@@ -196,9 +203,10 @@ def _fit(samples: ErrorSamples) -> ErrorModel:
     middle_db = float(samples.held_db.mean())
     residuals = samples.held_db - middle_db
     by_training, by_score = Rising(at=np.zeros(1), values=np.zeros(1)), Rising(at=np.zeros(1), values=np.zeros(1))
+    of_training, of_score = _Places.of(samples.train_db), _Places.of(samples.score)
     for _ in range(NUM_ROUNDS):
-        by_training = _closest_rising(samples.train_db, residuals - by_score(samples.score))
-        by_score = _closest_rising(samples.score, residuals - by_training(samples.train_db))
+        by_training = of_training.closest_rising(residuals - of_score.each(by_score))
+        by_score = of_score.closest_rising(residuals - of_training.each(by_training))
     return ErrorModel(
         middle_db=middle_db,
         by_training=by_training,
@@ -208,9 +216,24 @@ def _fit(samples: ErrorSamples) -> ErrorModel:
     )
 
 
-def _closest_rising(at: FloatArray, values: FloatArray) -> Rising:
-    """The rising function closest to values (M,) at places (M,), of mean 0."""
-    places, owner = np.unique(at, return_inverse=True)
-    counts = np.bincount(owner)
-    fitted = np.asarray(isotonic_regression(np.bincount(owner, weights=values) / counts, weights=counts).x)
-    return Rising(at=places, values=fitted - np.average(fitted, weights=counts))
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Places:
+    """Where M samples are: places (P,) that differ, rising, the owner (M,) and the counts (P,)."""
+
+    at: FloatArray
+    owner: NDArray[np.int64]
+    counts: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, places: FloatArray) -> _Places:
+        at, owner = np.unique(places, return_inverse=True)
+        return cls(at=at, owner=owner, counts=np.bincount(owner))
+
+    def each(self, rising: Rising) -> FloatArray:
+        """Its values at the samples (M,)."""
+        return rising(self.at)[self.owner]
+
+    def closest_rising(self, values: FloatArray) -> Rising:
+        """The rising function closest to values (M,), of mean 0."""
+        fitted = np.asarray(isotonic_regression(np.bincount(self.owner, weights=values) / self.counts, weights=self.counts).x)
+        return Rising(at=self.at, values=fitted - np.average(fitted, weights=self.counts))

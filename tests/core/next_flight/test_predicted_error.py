@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import spearmanr
 
 from radiant_core.errors import BadInput
-from radiant_core.next_flight.predicted_error import ErrorSamples, errors_in_views, fit_errors, mean_errors_db
+from radiant_core.next_flight.predicted_error import ErrorSamples, errors_in_views, fit_errors, mean_errors_db, rank_correlation
 from radiant_core.next_flight.sightings import Sighting
 from radiant_core.render.rendered_view import render_views
 from tests.core.scenes import cameras_above, ground_splats
@@ -72,6 +73,28 @@ def test_one_photograph_gives_no_margin_and_too_few_cells_no_prediction() -> Non
     assert one.margin_db is None and one.rank is None
     with pytest.raises(BadInput, match="hold more photographs out"):
         fit_errors(made_up(50))
+
+
+def test_equal_errors_share_their_rank_as_in_scipy() -> None:
+    rng = np.random.default_rng(3)
+    # Two digits: hundreds of equal values.
+    a, b = rng.normal(size=2000).round(1), rng.normal(size=2000).round(1)
+    b[:1000] = a[:1000]
+    assert rank_correlation(a, b) == pytest.approx(float(spearmanr(a, b)[0]), abs=1e-12)
+
+
+def test_a_smaller_picture_shows_the_same_facets_by_wider_pixels() -> None:
+    cameras = cameras_above([(0.0, 0.0)])
+    ones = np.ones(2, np.float32)
+    pixels = np.array([[20.5, 10.5], [3.0, 4.0]], np.float32)
+    sighting = Sighting(rows=np.array([0, 1]), pixels=pixels, gsd=2 * ones, toward=np.zeros((2, 3), np.float32), facing=ones)
+    small = cameras.scaled(int(cameras.sizes_wh.max()) // 2)
+    shares = (small.sizes_wh / cameras.sizes_wh)[0]
+    seen = sighting.scaled(shares)
+    np.testing.assert_allclose(seen.pixels, pixels * shares, rtol=1e-6)
+    # z / f, and f is scaled as the width.
+    np.testing.assert_allclose(seen.gsd, 2 * cameras.Ks[0, 0, 0] / small.Ks[0, 0, 0], rtol=1e-6)
+    np.testing.assert_array_equal(seen.rows, sighting.rows)
 
 
 def test_what_nothing_shows_has_no_prediction() -> None:
