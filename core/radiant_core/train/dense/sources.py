@@ -33,7 +33,8 @@ def choose_sources(scene: SfmScene, most: int) -> list[NDArray[np.int64]]:
     """Indices of the partners of each of C cameras, at most `most`, the best first; empty where
     nothing fits."""
     num_cameras = len(scene.cameras)
-    point, camera = np.unique(scene.observations, axis=0).T
+    # One number per pair sorts several times as fast as pairs.
+    point, camera = np.divmod(np.unique(scene.observations @ np.array([num_cameras, 1])), num_cameras)
     sees = csr_matrix((np.ones(len(camera), np.int32), (camera, point)), shape=(num_cameras, len(scene.points)))
     shared = (sees @ sees.T).toarray()
     np.fill_diagonal(shared, 0)
