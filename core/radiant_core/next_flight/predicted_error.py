@@ -26,6 +26,8 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import MIN_SQUARED_ERROR
+from radiant_core.evaluate.image_pair import Used
+from radiant_core.io.photos.masks import used_pixels
 from radiant_core.next_flight.facets import Rows
 from radiant_core.next_flight.sightings import Sighting
 from radiant_core.numerics import FloatArray
@@ -88,7 +90,7 @@ class ErrorModel:
     margin_db: float | None = None
     """Nine of ten cells are at most so many dB worse than predicted."""
     rank: float | None = None
-    """Spearman's correlation of predicted and true error over cells."""
+    """Spearman's correlation of predicted and true error over cells; None where all are equal."""
     good: float | None = None
     """Share of the cells of photographs apart that were at least as good as predicted less the
     margin of the others."""
@@ -99,26 +101,45 @@ class ErrorModel:
 
 
 def errors_in_views(
-    splats: Splats, cameras: Cameras, images: Iterable[NDArray[np.uint8]], sightings: Sequence[Sighting], cell: float
+    splats: Splats,
+    cameras: Cameras,
+    images: Iterable[NDArray[np.uint8]],
+    sightings: Sequence[Sighting],
+    cell: float,
+    weights: Sequence[NDArray[np.uint8]] | None = None,
 ) -> Iterator[FloatArray]:
     """Per camera the mean squared error (R,) of the model about the pixels of the facets that it
-    sees, over a square as wide as a cell there usually is; images (H,W,3) of the cameras' sizes."""
-    for view, image, sighting in zip(render_views(splats, cameras), images, sightings, strict=True):
+    sees, over a square as wide as a cell there usually is; images (H,W,3) of the cameras' sizes.
+    weights: used shares (H,W) of their pixels; NaN at facets behind what a mask leaves out."""
+    for index, (view, image, sighting) in enumerate(zip(render_views(splats, cameras), images, sightings, strict=True)):
         photograph = image.astype(np.float32) / 255
-        difference = correct_colors(view.image, photograph) - photograph
+        used = None if weights is None else used_pixels(weights[index])
+        if used is not None and not used.any():
+            yield np.full(len(sighting.rows), np.nan)
+            continue
+        difference = correct_colors(view.image, photograph, used) - photograph
         squared = np.einsum("hwc,hwc->hw", difference, difference) / 3
         side = max(1, round(cell / float(np.median(sighting.gsd)))) if len(sighting.rows) else 1
-        smooth = cv2.blur(squared, (side, side), borderType=cv2.BORDER_REFLECT)
+        smooth = _mean_about(squared, side, used)
         columns, lines = sighting.pixels.astype(np.int64).T if len(sighting.rows) else np.zeros((2, 0), np.int64)
         yield smooth[np.minimum(lines, smooth.shape[0] - 1), np.minimum(columns, smooth.shape[1] - 1)].astype(np.float64)
+
+
+def _mean_about(squared: FloatArray, side: int, used: Used) -> FloatArray:
+    """Means (H,W) over the used pixels of squares of such a side; NaN where a pixel is not used."""
+    if used is None:
+        return cv2.blur(squared, (side, side), borderType=cv2.BORDER_REFLECT).astype(np.float64)
+    sums, shares = (cv2.blur(part, (side, side), borderType=cv2.BORDER_REFLECT) for part in (squared * used, used.astype(np.float64)))
+    return np.where(used, sums / np.maximum(shares, 1e-12), np.nan)
 
 
 def mean_errors_db(count: int, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> FloatArray:
     """y (K,) of the mean over views at each of `count` facets; NaN where none sees one."""
     total, number = np.zeros(count), np.zeros(count)
     for sighting, error in zip(sightings, errors, strict=True):
-        total[sighting.rows] += error
-        number[sighting.rows] += 1
+        counts = np.isfinite(error)
+        total[sighting.rows[counts]] += error[counts]
+        number[sighting.rows[counts]] += 1
     return np.where(number > 0, decibels(total / np.maximum(number, 1)), np.nan)
 
 
@@ -128,7 +149,9 @@ def decibels(squared: FloatArray) -> FloatArray:
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> float:
-    """Spearman's correlation of two lists (M,)."""
+    """Spearman's correlation of two lists (M,); NaN where either has one value alone."""
+    if np.ptp(a) == 0 or np.ptp(b) == 0:
+        return np.nan
     return float(np.corrcoef(_ranks(a), _ranks(b))[0, 1])
 
 
@@ -145,7 +168,7 @@ def error_samples(train_db: FloatArray, score: FloatArray, sightings: Sequence[S
     photograph = np.repeat(np.arange(len(sightings)), [len(sighting.rows) for sighting in sightings])
     held_db = decibels(np.concatenate(errors)) if errors else np.zeros(0)
     samples = ErrorSamples(rows=rows, photograph=photograph, held_db=held_db, train_db=train_db[rows], score=score[rows])
-    return samples.select(np.isfinite(samples.train_db))
+    return samples.select(np.isfinite(samples.train_db) & np.isfinite(samples.held_db))
 
 
 def fit_errors(samples: ErrorSamples) -> ErrorModel:
@@ -166,6 +189,7 @@ def fit_errors(samples: ErrorSamples) -> ErrorModel:
         fold_samples = samples.select(folds == fold)
         predicted[folds == fold] = others.predict(fold_samples.train_db, fold_samples.score)
     predicted_db, true_db = _by_cell(samples, predicted)
+    rank = rank_correlation(predicted_db, true_db)
     return ErrorModel(
         middle_db=model.middle_db,
         by_training=model.by_training,
@@ -173,7 +197,7 @@ def fit_errors(samples: ErrorSamples) -> ErrorModel:
         num_cells=model.num_cells,
         num_photographs=model.num_photographs,
         margin_db=float(max(0.0, -np.quantile(true_db - predicted_db, MARGIN))),
-        rank=rank_correlation(predicted_db, true_db),
+        rank=rank if np.isfinite(rank) else None,
         good=_good_share(samples, predicted, folds),
     )
 

@@ -16,6 +16,7 @@ from radiant_app.commands.survey.surface import photographs_of_survey
 from radiant_app.events import Decided, Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.capture_warnings import faults_of_capture
+from radiant_app.workers.sources import masks_folder_of
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
@@ -168,6 +169,7 @@ def _errors(
     survey: Survey, sights: Sights, seen_by_trained: tuple[Sighting, ...], score: FloatArray, display: ProgressDisplay
 ) -> tuple[FloatArray, ErrorModel | None]:
     """Predicted error (K,) in dB of each facet, NaN where there is none, and the prediction."""
+    from radiant_core.io.photos.masks import pixel_weights
     from radiant_core.next_flight.predicted_error import error_samples, errors_in_views, fit_errors, mean_errors_db
     from radiant_core.train.photographs import load_images
 
@@ -187,8 +189,9 @@ def _errors(
         seen = [sighting.scaled(shares) for sighting, shares in zip(seen_by_trained, shares_wh, strict=False)]
         sightings = (*seen, *sights.all_of(cameras.select(held_out)))
         pictures = (load_images(images, ordered.select([index]))[0] for index in range(len(ordered)))
+        weights = pixel_weights(masks_folder_of(survey.run.folder), ordered)
         view_errors: list[FloatArray] = []
-        for error in errors_in_views(survey.splats, ordered, pictures, sightings, cell):
+        for error in errors_in_views(survey.splats, ordered, pictures, sightings, cell, weights):
             view_errors.append(error)
             report(len(view_errors), len(ordered), "photographs")
     split = len(survey.trained)

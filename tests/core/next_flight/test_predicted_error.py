@@ -75,6 +75,35 @@ def test_one_photograph_gives_no_margin_and_too_few_cells_no_prediction() -> Non
         fit_errors(made_up(50))
 
 
+def test_what_a_mask_leaves_out_is_no_error_of_the_model() -> None:
+    """A white lorry in the left half of a photograph, masked: no error beside it, none known there,
+    and the colour map is not fitted to it."""
+    splats, cameras = ground_splats(), cameras_above([(0.0, 0.0)])
+    image = (next(iter(render_views(splats, cameras))).image * 255).round().astype(np.uint8)
+    height, width = image.shape[:2]
+    image[:, : width // 2] = 255
+    weights = np.full((height, width), 255, np.uint8)
+    weights[:, : width // 2] = 0
+    pixels = np.array([[width / 4, height / 2], [width / 2 + 1, height / 2]], np.float32)
+    ones = np.ones(2, np.float32)
+    sighting = Sighting(rows=np.array([0, 1]), pixels=pixels, gsd=ones, toward=np.zeros((2, 3), np.float32), facing=ones)
+    (plain,) = errors_in_views(splats, cameras, [image], [sighting], 5.0)
+    (masked,) = errors_in_views(splats, cameras, [image], [sighting], 5.0, [weights])
+    assert np.isnan(masked[0]) and masked[1] <= (1.5 / 255) ** 2 < plain[1]
+    (nothing,) = errors_in_views(splats, cameras, [image], [sighting], 5.0, [np.zeros_like(weights)])
+    assert np.isnan(nothing).all()
+    assert np.isnan(mean_errors_db(2, [sighting], [masked])[0])
+
+
+def test_equal_errors_everywhere_have_no_rank() -> None:
+    count = 500
+    flat = ErrorSamples(
+        rows=np.arange(count), photograph=np.arange(count) % 3, held_db=np.full(count, 20.0), train_db=np.full(count, 25.0),
+        score=np.zeros(count),
+    )  # fmt: skip
+    assert fit_errors(flat).rank is None
+
+
 def test_equal_errors_share_their_rank_as_in_scipy() -> None:
     rng = np.random.default_rng(3)
     # Two digits: hundreds of equal values.

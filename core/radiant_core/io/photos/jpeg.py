@@ -125,7 +125,8 @@ def read_jpeg_facts(data: bytes) -> JpegFacts:
             name, at, part = _part_of_xmp(data[start + len(_MORE_XMP) : end])
             longer.setdefault(name, []).append((at, part))
     packets += [b"".join(part for _, part in sorted(parts)) for parts in longer.values()]
-    return JpegFacts(size_wh=size_wh, whole=_is_whole(data, scan_offset), exif=join_facts(blocks, packets), has_scan=scan_offset is not None)
+    whole, has_scan = _is_whole(data, scan_offset), scan_offset is not None
+    return JpegFacts(size_wh=size_wh, whole=whole, exif=join_facts(blocks, packets), has_scan=has_scan)
 
 
 def _part_of_xmp(segment: bytes) -> tuple[bytes, int, bytes]:
