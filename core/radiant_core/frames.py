@@ -17,6 +17,8 @@ from radiant_core.numerics import FloatArray, check_array
 
 WGS84_SEMI_MAJOR_M = 6378137.0
 WGS84_FLATTENING = 1 / 298.257223563
+SETTLED_RAD = 1e-13
+"""A round that moves a latitude by less, some 0.6 µm, is the last."""
 MAX_REACH_M = 300e3
 """Farthest that a position of one site may lie from the middle of all: generous for drones and
 aeroplanes, small against the globe."""
@@ -207,11 +209,14 @@ def _geodetic_from_ecef(ecef: FloatArray) -> FloatArray:
     reduced = np.arctan2(z_m, (1 - WGS84_FLATTENING) * from_axis_m)
     lat = reduced
     for _ in range(4):
+        before = lat
         lat = np.arctan2(
             z_m + eccentricity2 / (1 - eccentricity2) * semi_minor_m * np.sin(reduced) ** 3,
             from_axis_m - eccentricity2 * WGS84_SEMI_MAJOR_M * np.cos(reduced) ** 3,
         )
         reduced = np.arctan2((1 - WGS84_FLATTENING) * np.sin(lat), np.cos(lat))
+        if np.abs(lat - before).max(initial=0) < SETTLED_RAD:
+            break
     # This form of the altitude has no division by cos φ, which fails at the poles.
     alt_m = from_axis_m * np.cos(lat) + z_m * np.sin(lat) - WGS84_SEMI_MAJOR_M * np.sqrt(1 - eccentricity2 * np.sin(lat) ** 2)
     return np.stack([np.degrees(lat), np.degrees(np.arctan2(ecef[:, 1], ecef[:, 0])), alt_m], axis=1)

@@ -14,19 +14,20 @@ there exceed, `rank` the correlation of ranks. M samples: a facet in a held-out 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
-from scipy.stats import rankdata
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import MIN_SQUARED_ERROR
+from radiant_core.evaluate.image_pair import Used
+from radiant_core.io.photos.masks import used_pixels
 from radiant_core.next_flight.facets import Rows
 from radiant_core.next_flight.sightings import Sighting
 from radiant_core.numerics import FloatArray
@@ -89,7 +90,7 @@ class ErrorModel:
     margin_db: float | None = None
     """Nine of ten cells are at most so many dB worse than predicted."""
     rank: float | None = None
-    """Spearman's correlation of predicted and true error over cells."""
+    """Spearman's correlation of predicted and true error over cells; None where all are equal."""
     good: float | None = None
     """Share of the cells of photographs apart that were at least as good as predicted less the
     margin of the others."""
@@ -100,25 +101,45 @@ class ErrorModel:
 
 
 def errors_in_views(
-    splats: Splats, cameras: Cameras, images: Sequence[NDArray[np.uint8]], sightings: Sequence[Sighting], cell: float
+    splats: Splats,
+    cameras: Cameras,
+    images: Iterable[NDArray[np.uint8]],
+    sightings: Sequence[Sighting],
+    cell: float,
+    weights: Sequence[NDArray[np.uint8]] | None = None,
 ) -> Iterator[FloatArray]:
     """Per camera the mean squared error (R,) of the model about the pixels of the facets that it
-    sees, over a square as wide as a cell there usually is; images (H,W,3) of the cameras' sizes."""
-    for view, image, sighting in zip(render_views(splats, cameras), images, sightings, strict=True):
+    sees, over a square as wide as a cell there usually is; images (H,W,3) of the cameras' sizes.
+    weights: used shares (H,W) of their pixels; NaN at facets behind what a mask leaves out."""
+    for index, (view, image, sighting) in enumerate(zip(render_views(splats, cameras), images, sightings, strict=True)):
         photograph = image.astype(np.float32) / 255
-        squared = np.square(correct_colors(np.clip(view.image, 0, 1), photograph) - photograph).mean(axis=2)
+        used = None if weights is None else used_pixels(weights[index])
+        if used is not None and not used.any():
+            yield np.full(len(sighting.rows), np.nan)
+            continue
+        difference = correct_colors(view.image, photograph, used) - photograph
+        squared = np.einsum("hwc,hwc->hw", difference, difference) / 3
         side = max(1, round(cell / float(np.median(sighting.gsd)))) if len(sighting.rows) else 1
-        smooth = cv2.blur(squared, (side, side), borderType=cv2.BORDER_REFLECT)
+        smooth = _mean_about(squared, side, used)
         columns, lines = sighting.pixels.astype(np.int64).T if len(sighting.rows) else np.zeros((2, 0), np.int64)
         yield smooth[np.minimum(lines, smooth.shape[0] - 1), np.minimum(columns, smooth.shape[1] - 1)].astype(np.float64)
+
+
+def _mean_about(squared: FloatArray, side: int, used: Used) -> FloatArray:
+    """Means (H,W) over the used pixels of squares of such a side; NaN where a pixel is not used."""
+    if used is None:
+        return cv2.blur(squared, (side, side), borderType=cv2.BORDER_REFLECT).astype(np.float64)
+    sums, shares = (cv2.blur(part, (side, side), borderType=cv2.BORDER_REFLECT) for part in (squared * used, used.astype(np.float64)))
+    return np.where(used, sums / np.maximum(shares, 1e-12), np.nan)
 
 
 def mean_errors_db(count: int, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> FloatArray:
     """y (K,) of the mean over views at each of `count` facets; NaN where none sees one."""
     total, number = np.zeros(count), np.zeros(count)
     for sighting, error in zip(sightings, errors, strict=True):
-        total[sighting.rows] += error
-        number[sighting.rows] += 1
+        counts = np.isfinite(error)
+        total[sighting.rows[counts]] += error[counts]
+        number[sighting.rows[counts]] += 1
     return np.where(number > 0, decibels(total / np.maximum(number, 1)), np.nan)
 
 
@@ -128,8 +149,17 @@ def decibels(squared: FloatArray) -> FloatArray:
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> float:
-    """Spearman's correlation of two lists (M,)."""
-    return float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
+    """Spearman's correlation of two lists (M,); NaN where either has one value alone."""
+    if np.ptp(a) == 0 or np.ptp(b) == 0:
+        return np.nan
+    return float(np.corrcoef(_ranks(a), _ranks(b))[0, 1])
+
+
+def _ranks(values: FloatArray) -> FloatArray:
+    """Ranks (M,), the mean of theirs for equal values. `scipy.stats.rankdata`, whose module takes a
+    second to load."""
+    _, owner, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(counts) - (counts - 1) / 2)[owner]
 
 
 def error_samples(train_db: FloatArray, score: FloatArray, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> ErrorSamples:
@@ -138,7 +168,7 @@ def error_samples(train_db: FloatArray, score: FloatArray, sightings: Sequence[S
     photograph = np.repeat(np.arange(len(sightings)), [len(sighting.rows) for sighting in sightings])
     held_db = decibels(np.concatenate(errors)) if errors else np.zeros(0)
     samples = ErrorSamples(rows=rows, photograph=photograph, held_db=held_db, train_db=train_db[rows], score=score[rows])
-    return samples.select(np.isfinite(samples.train_db))
+    return samples.select(np.isfinite(samples.train_db) & np.isfinite(samples.held_db))
 
 
 def fit_errors(samples: ErrorSamples) -> ErrorModel:
@@ -159,6 +189,7 @@ def fit_errors(samples: ErrorSamples) -> ErrorModel:
         fold_samples = samples.select(folds == fold)
         predicted[folds == fold] = others.predict(fold_samples.train_db, fold_samples.score)
     predicted_db, true_db = _by_cell(samples, predicted)
+    rank = rank_correlation(predicted_db, true_db)
     return ErrorModel(
         middle_db=model.middle_db,
         by_training=model.by_training,
@@ -166,7 +197,7 @@ def fit_errors(samples: ErrorSamples) -> ErrorModel:
         num_cells=model.num_cells,
         num_photographs=model.num_photographs,
         margin_db=float(max(0.0, -np.quantile(true_db - predicted_db, MARGIN))),
-        rank=rank_correlation(predicted_db, true_db),
+        rank=rank if np.isfinite(rank) else None,
         good=_good_share(samples, predicted, folds),
     )
 
@@ -196,9 +227,10 @@ def _fit(samples: ErrorSamples) -> ErrorModel:
     middle_db = float(samples.held_db.mean())
     residuals = samples.held_db - middle_db
     by_training, by_score = Rising(at=np.zeros(1), values=np.zeros(1)), Rising(at=np.zeros(1), values=np.zeros(1))
+    of_training, of_score = _Places.of(samples.train_db), _Places.of(samples.score)
     for _ in range(NUM_ROUNDS):
-        by_training = _closest_rising(samples.train_db, residuals - by_score(samples.score))
-        by_score = _closest_rising(samples.score, residuals - by_training(samples.train_db))
+        by_training = of_training.closest_rising(residuals - of_score.each(by_score))
+        by_score = of_score.closest_rising(residuals - of_training.each(by_training))
     return ErrorModel(
         middle_db=middle_db,
         by_training=by_training,
@@ -208,9 +240,24 @@ def _fit(samples: ErrorSamples) -> ErrorModel:
     )
 
 
-def _closest_rising(at: FloatArray, values: FloatArray) -> Rising:
-    """The rising function closest to values (M,) at places (M,), of mean 0."""
-    places, owner = np.unique(at, return_inverse=True)
-    counts = np.bincount(owner)
-    fitted = np.asarray(isotonic_regression(np.bincount(owner, weights=values) / counts, weights=counts).x)
-    return Rising(at=places, values=fitted - np.average(fitted, weights=counts))
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Places:
+    """Where M samples are: places (P,) that differ, rising, the owner (M,) and the counts (P,)."""
+
+    at: FloatArray
+    owner: NDArray[np.int64]
+    counts: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, places: FloatArray) -> _Places:
+        at, owner = np.unique(places, return_inverse=True)
+        return cls(at=at, owner=owner, counts=np.bincount(owner))
+
+    def each(self, rising: Rising) -> FloatArray:
+        """Its values at the samples (M,)."""
+        return rising(self.at)[self.owner]
+
+    def closest_rising(self, values: FloatArray) -> Rising:
+        """The rising function closest to values (M,), of mean 0."""
+        fitted = np.asarray(isotonic_regression(np.bincount(self.owner, weights=values) / self.counts, weights=self.counts).x)
+        return Rising(at=self.at, values=fitted - np.average(fitted, weights=self.counts))

@@ -12,7 +12,7 @@ is the cell. log det J is monotone and submodular in the set of views. Once per 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,11 @@ class Sighting:
     gsd: NDArray[np.float32]
     toward: NDArray[np.float32]
     facing: NDArray[np.float32]
+
+    def scaled(self, shares_wh: FloatArray) -> Sighting:
+        """What the same camera sees in a picture of such shares (2,) of its width and height."""
+        gsd = (self.gsd / shares_wh[0]).astype(np.float32)
+        return replace(self, pixels=(self.pixels * shares_wh).astype(np.float32), gsd=gsd)
 
     def information(self) -> NDArray[np.float32]:
         """What it adds to J of its facets, the six numbers (R,6) of a symmetric matrix."""

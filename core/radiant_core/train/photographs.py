@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
-from radiant_core.io.photos.listing import load_photograph
+from radiant_core.io.photos.listing import load_photograph_bytes
 from radiant_core.io.photos.masks import pixel_weights
 from radiant_core.train.views import TrainingViews
 
@@ -27,7 +27,7 @@ def load_images(folder: Path, cameras: Cameras) -> tuple[NDArray[np.uint8], ...]
         BadInput: a photograph is missing or damaged.
     """
     return tuple(
-        (load_photograph(folder / name, (int(width), int(height))) * 255).round().astype(np.uint8)
+        load_photograph_bytes(folder / name, (int(width), int(height)))
         for name, (width, height) in zip(cameras.names, cameras.sizes_wh, strict=True)
     )
 

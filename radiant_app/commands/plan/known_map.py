@@ -16,6 +16,7 @@ from radiant_app.commands.survey.surface import photographs_of_survey
 from radiant_app.events import Decided, Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.capture_warnings import faults_of_capture
+from radiant_app.workers.sources import masks_folder_of
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
@@ -26,7 +27,7 @@ from radiant_core.next_flight.capture_faults import CaptureFault
 from radiant_core.next_flight.facets import Facets
 from radiant_core.next_flight.layers import BANDS, CLASSES, HOLE, WEAK, KnownMap, support_raster, weak_features
 from radiant_core.next_flight.model_surface import MapView, facets_of_model
-from radiant_core.next_flight.sightings import Sights, known_by
+from radiant_core.next_flight.sightings import Sighting, Sights, known_by
 from radiant_core.numerics import FloatArray
 from radiant_core.survey.geojson import to_geojson
 from radiant_core.survey.map_grid import grid_over
@@ -73,7 +74,7 @@ def find_known(survey: Survey, resolution: float | None, display: ProgressDispla
     faults = faults_of_capture(survey.run.scene, photographs_of_survey(survey))
     for fault in faults:
         display(Warned(stage=STAGE, message=fault.sentence))
-    error_db, model = _errors(survey, sights, known_facets.score, display)
+    error_db, model = _errors(survey, sights, sightings, known_facets.score, display)
     support = support_raster(facets, survey.map_frame, survey.splats, support_of_survey(survey, display, LONG_SIDE_PX))
     margin_db = None if model is None else model.margin_db
     layers = KnownMap(facets=facets, knowledge=known_facets, support=support, error_db=error_db, margin_db=margin_db)
@@ -164,8 +165,11 @@ def facets_of_survey(survey: Survey, cell: float, display: ProgressDisplay) -> F
         )
 
 
-def _errors(survey: Survey, sights: Sights, score: FloatArray, display: ProgressDisplay) -> tuple[FloatArray, ErrorModel | None]:
+def _errors(
+    survey: Survey, sights: Sights, seen_by_trained: tuple[Sighting, ...], score: FloatArray, display: ProgressDisplay
+) -> tuple[FloatArray, ErrorModel | None]:
     """Predicted error (K,) in dB of each facet, NaN where there is none, and the prediction."""
+    from radiant_core.io.photos.masks import pixel_weights
     from radiant_core.next_flight.predicted_error import error_samples, errors_in_views, fit_errors, mean_errors_db
     from radiant_core.train.photographs import load_images
 
@@ -180,12 +184,16 @@ def _errors(survey: Survey, sights: Sights, score: FloatArray, display: Progress
     order = np.array([*survey.trained, *held_out], np.int64)
     ordered, cell = cameras.select(order), sights.facets.surface.grid.cell
     with stage_bar(display, "errors") as report:
-        sightings = sights.all_of(ordered)
+        shares_wh = ordered.sizes_wh / survey.run.scene.cameras.select(order).sizes_wh
+        # What trained photographs see is known; their pictures alone are smaller here.
+        seen = [sighting.scaled(shares) for sighting, shares in zip(seen_by_trained, shares_wh, strict=False)]
+        sightings = (*seen, *sights.all_of(cameras.select(held_out)))
+        pictures = (load_images(images, ordered.select([index]))[0] for index in range(len(ordered)))
+        weights = pixel_weights(masks_folder_of(survey.run.folder), ordered)
         view_errors: list[FloatArray] = []
-        for index, sighting in enumerate(sightings):
-            one = ordered.select([index])
-            view_errors += errors_in_views(survey.splats, one, load_images(images, one), [sighting], cell)
-            report(index + 1, len(ordered), "photographs")
+        for error in errors_in_views(survey.splats, ordered, pictures, sightings, cell, weights):
+            view_errors.append(error)
+            report(len(view_errors), len(ordered), "photographs")
     split = len(survey.trained)
     train_db = mean_errors_db(len(sights.facets), sightings[:split], view_errors[:split])
     try:

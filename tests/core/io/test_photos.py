@@ -11,6 +11,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.io.photos import listing as photos
+from radiant_core.io.photos.facts import file_facts, file_outline
 from radiant_core.io.photos.folders import folders_warning
 from radiant_core.io.photos.jpeg import ExifFacts, read_exif, read_jpeg_facts
 from radiant_core.io.photos.listing import list_photographs, load_photograph
@@ -97,6 +98,15 @@ def test_a_damaged_jpeg_header_never_raises() -> None:
         data = bytearray(good[:2000])
         data[rng.integers(len(data))] = rng.integers(256)
         read_jpeg_facts(bytes(data[: rng.integers(len(data) + 1)]))
+
+
+def test_size_and_end_are_the_same_without_exif() -> None:
+    image = np.random.default_rng(4).integers(0, 255, (24, 36, 3), np.uint8)
+    for ending in (".jpg", ".png", ".tif"):
+        data = cv2.imencode(ending, image)[1].tobytes()
+        for part in (data, data[: len(data) // 2], data[:30], b""):
+            assert file_outline(part) == file_facts(part)[:2]
+        assert file_outline(data) == ((36, 24), True)
 
 
 def test_the_sample_photographs_have_position_size_and_one_camera() -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import spearmanr
 
 from radiant_core.errors import BadInput
-from radiant_core.next_flight.predicted_error import ErrorSamples, errors_in_views, fit_errors, mean_errors_db
+from radiant_core.next_flight.predicted_error import ErrorSamples, errors_in_views, fit_errors, mean_errors_db, rank_correlation
 from radiant_core.next_flight.sightings import Sighting
 from radiant_core.render.rendered_view import render_views
 from tests.core.scenes import cameras_above, ground_splats
@@ -72,6 +73,57 @@ def test_one_photograph_gives_no_margin_and_too_few_cells_no_prediction() -> Non
     assert one.margin_db is None and one.rank is None
     with pytest.raises(BadInput, match="hold more photographs out"):
         fit_errors(made_up(50))
+
+
+def test_what_a_mask_leaves_out_is_no_error_of_the_model() -> None:
+    """A white lorry in the left half of a photograph, masked: no error beside it, none known there,
+    and the colour map is not fitted to it."""
+    splats, cameras = ground_splats(), cameras_above([(0.0, 0.0)])
+    image = (next(iter(render_views(splats, cameras))).image * 255).round().astype(np.uint8)
+    height, width = image.shape[:2]
+    image[:, : width // 2] = 255
+    weights = np.full((height, width), 255, np.uint8)
+    weights[:, : width // 2] = 0
+    pixels = np.array([[width / 4, height / 2], [width / 2 + 1, height / 2]], np.float32)
+    ones = np.ones(2, np.float32)
+    sighting = Sighting(rows=np.array([0, 1]), pixels=pixels, gsd=ones, toward=np.zeros((2, 3), np.float32), facing=ones)
+    (plain,) = errors_in_views(splats, cameras, [image], [sighting], 5.0)
+    (masked,) = errors_in_views(splats, cameras, [image], [sighting], 5.0, [weights])
+    assert np.isnan(masked[0]) and masked[1] <= (1.5 / 255) ** 2 < plain[1]
+    (nothing,) = errors_in_views(splats, cameras, [image], [sighting], 5.0, [np.zeros_like(weights)])
+    assert np.isnan(nothing).all()
+    assert np.isnan(mean_errors_db(2, [sighting], [masked])[0])
+
+
+def test_equal_errors_everywhere_have_no_rank() -> None:
+    count = 500
+    flat = ErrorSamples(
+        rows=np.arange(count), photograph=np.arange(count) % 3, held_db=np.full(count, 20.0), train_db=np.full(count, 25.0),
+        score=np.zeros(count),
+    )  # fmt: skip
+    assert fit_errors(flat).rank is None
+
+
+def test_equal_errors_share_their_rank_as_in_scipy() -> None:
+    rng = np.random.default_rng(3)
+    # Two digits: hundreds of equal values.
+    a, b = rng.normal(size=2000).round(1), rng.normal(size=2000).round(1)
+    b[:1000] = a[:1000]
+    assert rank_correlation(a, b) == pytest.approx(float(spearmanr(a, b)[0]), abs=1e-12)
+
+
+def test_a_smaller_picture_shows_the_same_facets_by_wider_pixels() -> None:
+    cameras = cameras_above([(0.0, 0.0)])
+    ones = np.ones(2, np.float32)
+    pixels = np.array([[20.5, 10.5], [3.0, 4.0]], np.float32)
+    sighting = Sighting(rows=np.array([0, 1]), pixels=pixels, gsd=2 * ones, toward=np.zeros((2, 3), np.float32), facing=ones)
+    small = cameras.scaled(int(cameras.sizes_wh.max()) // 2)
+    shares = (small.sizes_wh / cameras.sizes_wh)[0]
+    seen = sighting.scaled(shares)
+    np.testing.assert_allclose(seen.pixels, pixels * shares, rtol=1e-6)
+    # z / f, and f is scaled as the width.
+    np.testing.assert_allclose(seen.gsd, 2 * cameras.Ks[0, 0, 0] / small.Ks[0, 0, 0], rtol=1e-6)
+    np.testing.assert_array_equal(seen.rows, sighting.rows)
 
 
 def test_what_nothing_shows_has_no_prediction() -> None:

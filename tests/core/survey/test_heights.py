@@ -69,6 +69,15 @@ def test_the_order_of_points_changes_nothing_and_a_shift_moves_the_raster() -> N
     np.testing.assert_allclose(higher.heights, one.heights + 100, rtol=0, atol=1e-9)
 
 
+def test_many_cells_are_sorted_as_few_are() -> None:
+    """Cells that 16 bits count, and a grid of more with the same land in it."""
+    points = sampled(20_000)
+    wide = MapGrid(north_west=GRID.north_west, cell=GRID.cell, rows=400, columns=400, epsg=32632)
+    few, many = height_map(points, GRID, GSD), height_map(points, wide, GSD)
+    np.testing.assert_array_equal(many.source[:120, :160], few.source)
+    np.testing.assert_allclose(many.heights[:120, :160], few.heights, rtol=0, atol=1e-9)
+
+
 def test_a_fill_is_marked_less_certain_and_never_reaches_far() -> None:
     points = sampled(strays=0)
     hole = (np.abs(points[:, 0] - 500_020) < 5) & (np.abs(points[:, 1] - 5_200_030) < 5)

@@ -62,6 +62,7 @@ def known_picture(known_map: KnownMap, unit: str, flights: Sequence[FlownLine] =
         style_axes(axes, f"East ({unit})", f"North ({unit})")
         axes.set(xlim=_span(extent[:2], flights, 0), ylim=_span(extent[2:], flights, 1))
         axes.ticklabel_format(useOffset=False, style="plain")
+        axes.locator_params(axis="x", nbins=5)
     return figure_image(figure)
 
 

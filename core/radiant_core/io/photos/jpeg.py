@@ -88,29 +88,45 @@ class JpegFacts:
     """Whether the bytes reach to the pixels, so that all segments were seen."""
 
 
-def read_jpeg_facts(data: bytes) -> JpegFacts:
-    """Size, wholeness and EXIF of the JPEG `data`; never raises, whatever the bytes are."""
+def read_jpeg_outline(data: bytes) -> tuple[tuple[int, int] | None, bool]:
+    """Size and wholeness of the JPEG `data` as `read_jpeg_facts` has them, its EXIF left unread."""
+    size_wh, scan_offset = _size_and_scan(data)
+    return size_wh, _is_whole(data, scan_offset)
+
+
+def _size_and_scan(data: bytes) -> tuple[tuple[int, int] | None, int | None]:
     size_wh, scan_offset = None, None
-    blocks: list[bytes] = []
-    packets: list[bytes] = []
-    longer: dict[bytes, list[tuple[int, bytes]]] = {}
     for marker, start, end in _segments(data):
         if marker in _START_OF_FRAME and end - start >= 5:
             height, width = struct.unpack_from(">HH", data, start + 1)
             size_wh = (width, height) if width and height else None
-        elif marker == _APP1 and data.startswith(_EXIF_SIGNATURE, start):
+        elif marker == _START_OF_SCAN:
+            scan_offset = end
+    return size_wh, scan_offset
+
+
+def _is_whole(data: bytes, scan_offset: int | None) -> bool:
+    # In a scan 0xFF is followed by 0x00 or a restart marker, so FF D9 behind it is the real end.
+    return scan_offset is not None and data.rfind(b"\xff\xd9", scan_offset) >= 0
+
+
+def read_jpeg_facts(data: bytes) -> JpegFacts:
+    """Size, wholeness and EXIF of the JPEG `data`; never raises, whatever the bytes are."""
+    size_wh, scan_offset = _size_and_scan(data)
+    blocks: list[bytes] = []
+    packets: list[bytes] = []
+    longer: dict[bytes, list[tuple[int, bytes]]] = {}
+    for marker, start, end in _segments(data):
+        if marker == _APP1 and data.startswith(_EXIF_SIGNATURE, start):
             blocks.append(data[start + len(_EXIF_SIGNATURE) : end])
         elif marker == _APP1 and data.startswith(_XMP, start):
             packets.append(data[start + len(_XMP) : end])
         elif marker == _APP1 and data.startswith(_MORE_XMP, start):
             name, at, part = _part_of_xmp(data[start + len(_MORE_XMP) : end])
             longer.setdefault(name, []).append((at, part))
-        elif marker == _START_OF_SCAN:
-            scan_offset = end
     packets += [b"".join(part for _, part in sorted(parts)) for parts in longer.values()]
-    # In a scan 0xFF is followed by 0x00 or a restart marker, so FF D9 behind it is the real end.
-    whole = scan_offset is not None and data.rfind(b"\xff\xd9", scan_offset) >= 0
-    return JpegFacts(size_wh=size_wh, whole=whole, exif=join_facts(blocks, packets), has_scan=scan_offset is not None)
+    whole, has_scan = _is_whole(data, scan_offset), scan_offset is not None
+    return JpegFacts(size_wh=size_wh, whole=whole, exif=join_facts(blocks, packets), has_scan=has_scan)
 
 
 def _part_of_xmp(segment: bytes) -> tuple[bytes, int, bytes]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.colmap.records import is_image_name
 from radiant_core.io.photos.copies import file_copies
-from radiant_core.io.photos.facts import file_facts, read_exif_of
+from radiant_core.io.photos.facts import file_facts, file_outline, read_exif_of
 from radiant_core.io.photos.folders import (
     READ_KINDS,
     SAVED,
@@ -267,15 +267,20 @@ def photograph_size_wh(path: Path) -> tuple[int, int] | None:
 
 
 def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]:
-    """The photograph (H,W,3) float32 RGB in 0..1, area-averaged to `size_wh` px; BadInput when it
-    is not whole or cannot be decoded."""
+    """The photograph (H,W,3) float32 RGB in 0..1, otherwise as `load_photograph_bytes`."""
+    return load_photograph_bytes(path, size_wh).astype(np.float32) / np.float32(255)
+
+
+def load_photograph_bytes(path: Path, size_wh: tuple[int, int]) -> NDArray[np.uint8]:
+    """The photograph (H,W,3) uint8 RGB, area-averaged to `size_wh` px; BadInput when it is not whole
+    or cannot be decoded."""
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
     image = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise BadInput(f"the photograph {path} is not whole or cannot be decoded: remove it or fetch it again.")
     if (image.shape[1], image.shape[0]) != tuple(size_wh):
         image = cv2.resize(image, tuple(size_wh), interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(image[:, :, ::-1], dtype=np.float32) / np.float32(255)
+    return np.ascontiguousarray(image[:, :, ::-1], np.uint8)
 
 
 def load_thumbnail(path: Path, long_side_px: int) -> NDArray[np.uint8]:
@@ -304,7 +309,7 @@ def has_alpha(path: Path) -> bool:
 def decode_image(data: bytes, flags: int) -> NDArray[Any] | None:
     """A JPEG, PNG or TIFF as `cv2.imdecode` gives it, or None; nothing is allocated for a file that
     cannot hold what it promises."""
-    size_wh, whole, _ = file_facts(data)
+    size_wh, whole = file_outline(data)
     if size_wh is None or not whole or _promises_too_much(size_wh, data):
         return None
     try:
@@ -315,7 +320,7 @@ def decode_image(data: bytes, flags: int) -> NDArray[Any] | None:
 
 def read_size_wh(data: bytes) -> tuple[int, int] | None:
     """Size in px that the head of a JPEG, PNG or TIFF says; None for anything else."""
-    return file_facts(data)[0]
+    return file_outline(data)[0]
 
 
 def _promises_too_much(size_wh: tuple[int, int], data: bytes) -> bool:
