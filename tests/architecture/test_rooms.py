@@ -86,6 +86,7 @@ IDEAS: dict[str, tuple[str, ...]] = {
         "radiant_viewer.runs.replan_picture",
         "radiant_viewer.runs.stored_photographs",
     ),
+    "who paints the view, and one of those who can": ("radiant_viewer.splats.open3d_rgbd", "radiant_viewer.splats.painter_choice"),
     "one dock, tool, mark or state of the window": (
         "radiant_viewer.docks.gantt_dock",
         "radiant_viewer.docks.loss_curve",

@@ -272,8 +272,8 @@ def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]
 
 
 def load_photograph_bytes(path: Path, size_wh: tuple[int, int]) -> NDArray[np.uint8]:
-    """The photograph (H,W,3) uint8 RGB, area-averaged to `size_wh` px; BadInput when it is not whole
-    or cannot be decoded."""
+    """The photograph (H,W,3) uint8 RGB, area-averaged to `size_wh` px; BadInput when it is not
+    whole or cannot be decoded."""
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
     image = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:

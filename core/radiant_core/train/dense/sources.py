@@ -58,7 +58,7 @@ def choose_sources(scene: SfmScene, most: int) -> list[NDArray[np.int64]]:
 def _angles_deg(
     scene: SfmScene, common: Sequence[NDArray[np.integer]], reference: int, partners: NDArray[np.integer]
 ) -> NDArray[np.float64]:
-    """Median angle at shared points (one list per partner) between the lines to two cameras (B,)."""
+    """Median angle (B,) at shared points (one list per partner) between lines to two cameras."""
     if not len(partners):
         return np.zeros(0)
     sampled = [points[:: max(1, len(points) // NUM_SAMPLED)] for points in common]
