@@ -20,7 +20,7 @@ from typing import Any
 
 import pytest
 
-LIMIT_S = 60.0
+LIMIT_S = 120.0
 """A phase of a test may take so many; `@pytest.mark.cpu_seconds(N)` says another number, `stress` none."""
 SHORT_S = 0.05
 NUM_SHOWN = 25

@@ -33,6 +33,14 @@ Start = Callable[..., ForkedProcess]
 
 
 @pytest.fixture
+def has_ended(pid: int) -> bool:
+    """Whether a process is gone, or waits for nothing but its parent."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
 def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start]:
     """Start the lines of a module; servers end with the test."""
     monkeypatch.setattr(fork_server, "_open_servers", type(fork_server._open_servers)())
@@ -385,4 +393,4 @@ def test_a_fold_whose_server_is_killed_in_its_middle_finishes(
     assert {event.stage for event in heard if isinstance(event, StageDone)} == {node.id for node in tree}
     for node in tree:
         pid = int((tmp_path / node.id / "pid").read_text())
-        assert not Path(f"/proc/{pid}").exists() or Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+        assert has_ended(pid)
