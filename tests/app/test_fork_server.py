@@ -32,7 +32,6 @@ NAMES = ("json",)
 Start = Callable[..., ForkedProcess]
 
 
-@pytest.fixture
 def has_ended(pid: int) -> bool:
     """Whether a process is gone, or waits for nothing but its parent."""
     try:
@@ -41,6 +40,7 @@ def has_ended(pid: int) -> bool:
         return True
 
 
+@pytest.fixture
 def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start]:
     """Start the lines of a module; servers end with the test."""
     monkeypatch.setattr(fork_server, "_open_servers", type(fork_server._open_servers)())
