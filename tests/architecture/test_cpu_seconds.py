@@ -48,5 +48,7 @@ def reported(spent_s: float, of: Any) -> Any:
 def test_what_exceeds_its_limit_fails_with_a_sentence_and_stress_has_none() -> None:
     assert reported(cpu_seconds.LIMIT_S - 1, item()).outcome == "passed"
     failed = reported(cpu_seconds.LIMIT_S + 1, item())
-    assert failed.outcome == "failed" and failed.longrepr.startswith(f"call of tests/a.py::test_b took {LIMIT_S + 1:.1f} s of CPU time")
+    assert failed.outcome == "failed" and failed.longrepr.startswith(
+        f"call of tests/a.py::test_b took {cpu_seconds.LIMIT_S + 1:.1f} s of CPU time"
+    )
     assert limit_of(item(pytest.mark.cpu_seconds(90).mark)) == 90 and limit_of(item(pytest.mark.stress.mark)) == float("inf")
