@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Sets Radiant up in .venv beside this file and runs one of its two commands. A finished set-up is not done again.
+# Sets Radiant up in .venv beside this file and runs one of its commands. A finished set-up is not done again.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 

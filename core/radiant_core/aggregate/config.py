@@ -20,7 +20,8 @@ of the plan, at the cloud alone."""
 
 MAX_TILES = 256
 EDGE_EPOCHS, CLOUD_EPOCHS = 10, 5
-"""Epochs of a join where nothing refines the scene, as in the paper, and after long trainings."""
+"""Epochs of a join where nothing refines the scene, as in the paper, and after long trainings;
+those of other runs are in `regimes.JOINING`."""
 MAX_ROUNDS = 99
 TIERS = ("edge", "cloud")
 """Fields of `AggregateConfig` that are joins."""
