@@ -122,33 +122,35 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
 def _errors_of_rules(scene: SfmScene, seen_by: list[NDArray[np.int64]], cameras: Cameras) -> Mapping[Rule, float]:
     """The median error of either rule at observed points below the horizon, |log| of the ratio of
     depths; empty where too few can be asked. Once per model: V queries of 40 points."""
-    rng, errors = np.random.default_rng(0), dict[Rule, list[FloatArray]](height=[], depth=[])
+    rng = np.random.default_rng(0)
+    errors: dict[Rule, list[FloatArray]] = {"height": [], "depth": []}
     for index in range(len(cameras)):
         points = scene.points[seen_by[index]]
         pixels, depths = _project(cameras, index, points)
         points, pixels, depths = points[depths > 0], pixels[depths > 0], depths[depths > 0]
         if len(points) <= NEIGHBOURS:
             continue
-        asked = rng.permutation(len(points))[:ASKED_PER_IMAGE]
+        asked: NDArray[np.int64] = rng.permutation(len(points))[:ASKED_PER_IMAGE]
         rays = _rays(cameras, index, pixels[asked])
-        distances, nearest = KDTree(pixels).query(pixels[asked], k=min(len(points), CONSIDERED))
+        answer = KDTree(pixels).query(pixels[asked], k=min(len(points), CONSIDERED))
+        distances, nearest = np.asarray(answer[0]), np.asarray(answer[1])
         apart = distances > APART_CELLS * cameras.sizes_wh[index].max() / CELLS_ACROSS
         usable = (apart.sum(axis=1) >= NEIGHBOURS) & (rays[:, 2] < 0)
         # The nearest that are far enough apart come first, in their order.
         order = np.argsort(~apart[usable], axis=1, kind="stable")[:, :NEIGHBOURS]
         beside = np.take_along_axis(nearest[usable], order, axis=1)
         weights = _weights(np.take_along_axis(distances[usable], order, axis=1))
-        true = depths[asked[usable]]
+        true = depths[asked][usable]
         by_depth = (weights * depths[beside]).sum(axis=1)
         by_height = _depths_at_height(rays[usable], cameras.centers[index], by_depth, weights, points[beside])
-        for rule, placed in (("height", by_height), ("depth", by_depth)):
-            errors[rule].append(np.abs(np.log(placed / true)))
+        errors["height"].append(np.abs(np.log(by_height / true)))
+        errors["depth"].append(np.abs(np.log(by_depth / true)))
     if sum(len(part) for part in errors["height"]) < FEWEST_ASKED:
         return {}
     return {rule: float(np.median(np.concatenate(parts))) for rule, parts in errors.items()}
 
 
-def _rays(cameras: Cameras, index: int, pixels: FloatArray) -> FloatArray:
+def _rays(cameras: Cameras, index: int, pixels: NDArray[np.floating]) -> FloatArray:
     """Directions (F,3) in the world through pixels (F,2), of depth 1."""
     return (np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1) @ np.linalg.inv(cameras.Ks[index]).T) @ cameras.cam_from_world[
         index, :3, :3
