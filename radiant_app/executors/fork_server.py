@@ -36,7 +36,7 @@ from typing import IO, Any
 
 from radiant_app.executors.sessions import FIRST_PID
 from radiant_app.interrupts import defer_interrupts
-from radiant_app.loading import loading
+from radiant_core.garbage import without_garbage_search
 
 READ_WHEN_LOADED = ("GOMP_SPINCOUNT", "LD_PRELOAD", "OPENBLAS_NUM_THREADS", "PYTHONPATH")
 """Variables that a library or the interpreter reads once."""
@@ -376,7 +376,7 @@ def main(requests: str, *names: str) -> None:
     """Import and serve."""
     # The folder that the server was started in; a fork has that of its request.
     del sys.path[0]
-    with loading():
+    with without_garbage_search():
         for name in names:
             import_module(name)
         # A fork copies every page that it writes to, and collecting garbage writes to all of them.

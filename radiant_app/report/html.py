@@ -16,7 +16,6 @@ import numpy as np
 from radiant_app.events import UPLINK, Listener, StageDone, StageProgress, StageStarted
 from radiant_app.files.run_folder import PLANNING_FOLDER, Manifest, software_versions
 from radiant_app.files.system_file import load_system
-from radiant_app.loading import loading
 from radiant_app.pace import clock_text
 from radiant_app.report.advice import what_to_try
 from radiant_app.report.gaps import gaps_of, notes_of
@@ -27,6 +26,7 @@ from radiant_app.report.verdict import verdict_of
 from radiant_app.workers.sources import POSITIONS
 from radiant_core.aggregate.tree import refines_for
 from radiant_core.errors import BadInput
+from radiant_core.garbage import without_garbage_search
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json, stays_inside, write_atomic
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -156,7 +156,7 @@ def _tell(listen: Listener, part: int, num_done: int, total: int) -> None:
 
 
 def _save_pictures(run: Path, manifest: Manifest, listen: Listener, *, has_borders: bool) -> dict[str, Path]:
-    with loading():
+    with without_garbage_search():
         from radiant_viewer.charts.charts import timeline_picture
         from radiant_viewer.charts.gantt_chart import gantt_picture
         from radiant_viewer.pictures.images import save_png

@@ -21,9 +21,9 @@ from rich.table import Column
 from rich.text import Text
 
 from radiant_app.events import Decided, Event, Outlined, RunLeft, StageDone, StageProgress, StageSkipped, StageStarted, TimeLeft, Warned
-from radiant_app.loading import loading
 from radiant_app.pace import Pace, RunPace, clock_text, run_text
 from radiant_app.plain_text import shown_text
+from radiant_core.garbage import without_garbage_search
 
 _Item = TypeVar("_Item")
 SECONDS_BETWEEN_LINES = 10.0
@@ -43,7 +43,7 @@ def track_items(items: Sequence[_Item], description: str) -> Iterator[_Item]:
 def show_starting() -> Iterator[None]:
     """A spinner on a terminal while libraries load, which takes seconds; nothing in a log."""
     console = Console(stderr=True)
-    with console.status("starting") if console.is_terminal else nullcontext(), loading():
+    with console.status("starting") if console.is_terminal else nullcontext(), without_garbage_search():
         yield
 
 
