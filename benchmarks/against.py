@@ -28,7 +28,7 @@ import typer
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import read_json, write_json
 
-SAMPLED_EVERY_S = 0.25
+SAMPLED_EVERY_S = 1.0
 BUILDS = ("other", "this")
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 

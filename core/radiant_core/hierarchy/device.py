@@ -123,10 +123,10 @@ def prepare_training(
     filled = fill_in_points(scene, views) if config.fill_in else NO_POINTS
     helpers = choose_helpers(*open_gates(config, filled, views), views, trials.score)
     choice = choose_for_few(helpers.config, views, trials.score)
-    config, heard, num_trials = choice.config, reporter, helpers.num_trials + choice.num_trials
+    config, heard = choice.config, reporter
     _decide(reporter, (*helpers.decisions, *choice.decisions))
-    if num_trials:
-        heard = OneOfSeveral(reporter=reporter, number=num_trials, total=num_trials + 1, name="the model itself")
+    if trials.ended:
+        heard = OneOfSeveral(reporter=reporter, before=trials.ended, work=1, whole=trials.ended + 1, name="the model itself")
     config, decisions = fit_to_views(config, views)
     _decide(reporter, decisions)
     if validation is not None and lights is not None:
@@ -158,7 +158,7 @@ def choose_for_share(
     return choice.config, filled if choice.config.fill_in else NO_POINTS, choice.decisions
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class _Trials:
     """Trainings of a task without some of its views, which are in one light, scored on these."""
 
@@ -168,13 +168,17 @@ class _Trials:
     reporter: Reporter
     machine: Machine
     statistics_bytes: int
+    ended: float = 0.0
+    """Work of the trials that ended, the model's own training being 1."""
 
     def score(self, trial: Trial) -> FloatArray:
         """PSNR in dB of the views apart (K,), by a training or as it was kept."""
         views = self.views if trial.long_side_px is None else _reduced(self.views, trial.long_side_px)
         apart, trained_rows = views.select(np.flatnonzero(trial.held_out)), np.flatnonzero(~trial.held_out)
         name = f"trial {trial.number + 1} of {trial.most} at most"
-        heard = OneOfSeveral(reporter=self.reporter, number=trial.number, total=trial.most + 1, name=name)
+        before, following = self.ended, trial.work * (trial.most - trial.number)
+        self.ended += trial.work
+        heard = OneOfSeveral(reporter=self.reporter, before=before, work=trial.work, whole=before + following + 1, name=name)
         # Views are in one light and worth training already, and memory has limited the Gaussians.
         config = replace(trial.config, light="none", skip_images="none")
         task = replace(self.task, scene=self.scene.restricted_to(trained_rows), train=config, memory_bytes=None)

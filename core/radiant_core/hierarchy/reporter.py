@@ -61,9 +61,12 @@ class OneOfSeveral:
     """Hears one of several trainings of a node: how far it is counts, what it decides does not."""
 
     reporter: Reporter
-    number: int
-    """From 0."""
-    total: int
+    before: float
+    """Work of those that ended, in units of the model's own training."""
+    work: float
+    """Of this one."""
+    whole: float
+    """Of all, as far as it is known."""
     name: str
     """What its progress and warnings call it."""
 
@@ -80,8 +83,8 @@ class OneOfSeveral:
         self.reporter.warn(f"{self.name}: {message}")
 
     def progress(self, done: float, total: float, note: str = "") -> None:
-        """How far the node is, as if all trainings were as long."""
-        self.reporter.progress(self.number * total + done, self.total * total, f"{self.name}, {note}")
+        """How far the node is."""
+        self.reporter.progress(self.before + self.work * done / total, self.whole, f"{self.name}, {note}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +113,7 @@ def fit_options(backend: Backend, reporter: Reporter, machine: Machine, key: Cal
     """How a node's training renders, reports and saves its state."""
 
     def report(progress: TrainProgress) -> None:
-        reporter.progress(progress.step, progress.num_steps, f"loss {progress.loss:.4f}")
+        done = progress.step if progress.spent is None else progress.spent * progress.num_steps
+        reporter.progress(done, progress.num_steps, f"loss {progress.loss:.4f}")
 
     return FitOptions(backend=backend, report=report, checkpoints=machine.checkpoints(key), clock=machine.clock, scratch=machine.scratch)

@@ -60,6 +60,8 @@ class Trial:
     """How many trials there may be."""
     long_side_px: int | None = None
     """Photographs are reduced to it; None: they are not."""
+    work: float = 1.0
+    """How long it takes, the training whose model is kept being 1."""
 
 
 Score = Callable[[Trial], FloatArray]

@@ -169,9 +169,9 @@ class _Trials:
     def ask(self, candidate: TrainConfig) -> FloatArray:
         config = replace(candidate, num_steps=self.size.num_steps, max_epochs=None, cross_validate="none")
         self.num_asked += 1
-        return self.score(
-            Trial(config=config, held_out=self.held_out, number=self.num_asked - 1, most=self.most, long_side_px=self.size.long_side_px)
-        )
+        number, work = self.num_asked - 1, MOST_SHARE / self.most
+        side = self.size.long_side_px
+        return self.score(Trial(config=config, held_out=self.held_out, number=number, most=self.most, long_side_px=side, work=work))
 
 
 def _why_not(config: TrainConfig, num_views: int) -> str:

@@ -21,6 +21,8 @@ class TrainProgress:
     """Estimated from the steps so far where time is the budget."""
     loss: float
     """Mean loss since the last report."""
+    spent: float | None = None
+    """Share of the training's time that is spent, by `step_costs.py`; None: that of its steps."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -34,6 +34,7 @@ from radiant_core.train.optimizer import BETA1, SelectiveAdam
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainProgress, TrainResult, TrainState
 from radiant_core.train.shapes import ShapeCounts, limit_shapes, with_needle_width
+from radiant_core.train.step_costs import StepCosts
 from radiant_core.train.thin_surfaces import ThinSurfaces
 from radiant_core.train.validation import BestModel, first_look
 from radiant_core.train.view_loss import ImageLoss, ViewLoss, view_of_step
@@ -156,6 +157,7 @@ class ModelFit:
         self._spent_s = 0.0
         self._begun_s = self._reported_s = options.clock()
         self._num_reported = 0
+        self._costs = StepCosts(config, len(initial))
         self.step = 0
 
     @property
@@ -279,7 +281,8 @@ class ModelFit:
         losses = self._losses[self._num_reported :]
         if losses and (now_s - self._reported_s >= self._options.report_every_s or self.is_done):
             num_steps = max(self.step, min(self._config.num_steps, round(self.step / max(self.progress, 1e-9))))
-            self._options.report(TrainProgress(step=self.step, num_steps=num_steps, loss=float(np.mean(losses))))
+            spent = self._costs.spent_at(self.progress)
+            self._options.report(TrainProgress(step=self.step, num_steps=num_steps, loss=float(np.mean(losses)), spent=spent))
             self._reported_s, self._num_reported = now_s, len(self._losses)
 
 
