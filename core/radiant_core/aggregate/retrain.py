@@ -22,8 +22,8 @@ from radiant_core.train.shapes import without_dead
 from radiant_core.train.trainer import FitOptions, Steps, fit_splats
 from radiant_core.train.views import TrainingViews
 
-RATES_END = 0.3
-"""Share of the rates left at the end of a retraining by `default`; centres' fall as in training."""
+RATES_END, MEANS_END = 0.3, 0.01
+"""Share of the rates left at the end of a retraining by `default`, and of that of the centres."""
 RATES = ("max_extent_per_distance", "means_lr", "means_lr_end", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
 """Of a configuration, the rates that `paper` takes from 3DGS, and the limit of their unit."""
 
@@ -80,6 +80,7 @@ def retraining_config(train: TrainConfig, join: Join, merged: Splats, num_views:
         "background": "black",
         "drop_gaussians": "none",
         "settle_epochs": None,
+        "average_from": 1.0,
     }
-    rates = {name: getattr(train_preset("paper"), name) for name in RATES} if join.method == "paper" else {}
+    rates = {name: getattr(train_preset("paper"), name) for name in RATES} if join.method == "paper" else {"means_lr_end": MEANS_END}
     return replace(train, num_steps=join.num_steps(num_views), sh_degree=merged.sh_degree, **still, **rates)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from radiant_core.aggregate.averaging import Refinement, limit_changes
 from radiant_core.aggregate.join_memory import plan_join_memory
+from radiant_core.aggregate.retrain import MEANS_END
 from radiant_core.decisions import Decision
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.hierarchy.messages import RefineTask
@@ -89,6 +90,8 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
         background="black",
         drop_gaussians="none",
         settle_epochs=None,
+        average_from=1.0,
+        means_lr_end=MEANS_END,
     )
     options = fit_options(task.backend, reporter, machine, lambda: training_key(start, views, config, bare))
     fitted = fit_splats(start, views, config, replace(options, steps=bare.steps, statistics_bytes=bare.statistics_bytes)).splats

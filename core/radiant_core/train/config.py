@@ -95,6 +95,9 @@ class TrainConfig:
     """Learning rate of the centres, in units of the extent."""
     means_lr_end: float = 0.01
     """Share of `means_lr` to which it falls over the run, exponentially."""
+    average_from: float = 1.0
+    """Share of the run from which on the models of all steps are averaged to the result
+    (`mean_model.py`); 1: the last one is the result."""
     settle_epochs: int | None = None
     """A run of more steps per photograph than this, and of more than 700, ends with smaller
     learning rates, except for centres; None: rates keep their size."""
@@ -156,6 +159,8 @@ class TrainConfig:
         require_positive_or_none(self, ("max_scale_per_distance", "max_elongation", "max_extent_per_distance", "budget_s"))
         if not (self.needle_width_per_distance == "auto" or 0 <= self.needle_width_per_distance < 1):
             raise BadInput(f"needle_width_per_distance is {self.needle_width_per_distance}, expected auto or 0 to below 1.")
+        if not 0 <= self.average_from <= 1:
+            raise BadInput(f"average_from is {self.average_from}, expected a share of 0 to 1; 1 averages nothing.")
         if not 0 < self.means_lr_end <= 1:
             raise BadInput(f"means_lr_end is {self.means_lr_end}, expected above 0 and at most 1.")
         require_at_least(self, 0, ("thickness_weight", "depth_spread_weight"))
@@ -188,6 +193,8 @@ _SHORT = TrainConfig(
     max_epochs=120,
     settle_epochs=12,
     means_lr=6.4e-4,
+    means_lr_end=0.1,
+    average_from=0.95,
     scales_lr=2e-2,
     quats_lr=5e-3,
     opacities_lr=5e-2,

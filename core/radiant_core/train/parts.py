@@ -4,6 +4,8 @@ A training calls each hook of all its parts in turn, once per step unless stated
 
     before_render → wants_absgrad, wants_weights → render → loss → before_backward → backward
                   → after_backward → Adam → hold → after_update → after_step
+
+and once at the end: last → limits of shape → hold → finish
 """
 
 from __future__ import annotations
@@ -80,6 +82,10 @@ class Part(Protocol):
         """Look at the model after `step` steps, of which the last may not have been taken;
         `progress` is the share spent."""
         return
+
+    def last(self, splats: SplatTensors) -> SplatTensors:
+        """The model that becomes the result, of the same rows. Once per run."""
+        return splats
 
     def finish(self, result: TrainResult) -> TrainResult:
         """The result of the run with the figures and changes of this part. Once per run."""

@@ -29,6 +29,7 @@ from radiant_core.train.densify.policies import Mcmc, NoDensification
 from radiant_core.train.drop import DroppedGaussians
 from radiant_core.train.extent import working_extent
 from radiant_core.train.held import HeldRows
+from radiant_core.train.mean_model import MeanModel
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from radiant_core.train.optimizer import BETA1, SelectiveAdam
 from radiant_core.train.parts import Moment, Part
@@ -217,13 +218,20 @@ class ModelFit:
         self._begun_s = self._reported_s = self._options.clock()
         self._num_reported = len(self._losses)
 
-    def _result(self, shapes: ShapeCounts) -> TrainResult:
+    def _last(self) -> SplatTensors:
+        """A copy of the model that becomes the result, before the limits of shape."""
+        splats = replace(self._splats, **{name: tensor.detach().clone() for name, tensor in self._splats.tensors().items()})
+        for part in self._parts:
+            splats = part.last(splats)
+        return splats
+
+    def _result(self, splats: SplatTensors, shapes: ShapeCounts) -> TrainResult:
         """The model, the best by validation if any, and its figures. StageFailed without a step."""
         if not self._losses:
             raise StageFailed(f"training: none of {self.step} steps could be taken: check the photographs and the learning rates.")
         tenth = max(1, len(self._losses) // 10)
         result = TrainResult(
-            splats=self._splats.to_splats(),
+            splats=splats.to_splats(),
             num_steps=self.step,
             first_loss=float(np.mean(self._losses[:tenth])),
             last_loss=float(np.mean(self._losses[-tenth:])),
@@ -262,9 +270,9 @@ class ModelFit:
             part.after_step(self.step, self.progress, self._splats)
         self._report()
 
-    def _hold(self) -> None:
+    def _hold(self, splats: SplatTensors) -> None:
         for part in self._parts:
-            part.hold(self._splats)
+            part.hold(splats)
 
     def _roll_back(self, reason: str) -> None:
         # What was not finite is refused before Adam and the parts write anything.
@@ -303,7 +311,7 @@ class Training(ModelFit):
         if self._view_loss.scale < 1 and moment.progress >= self._config.full_size_from:
             self._view_loss.use_size(1.0)
         if self.step % STEPS_BETWEEN_LIMITS == 0:
-            self._limit_shapes()
+            self._limit_shapes(self._splats)
         self._set_rates(moment.progress, settled_rate_share(self.step, moment.progress, len(self._views), self._config.settle_epochs))
         try:
             loss = self._fit_view(moment)
@@ -315,7 +323,8 @@ class Training(ModelFit):
 
     def result(self) -> TrainResult:
         """The model, the best by validation if any, and its figures. StageFailed without a step."""
-        return self._result(self._limit_shapes())
+        splats = self._last()
+        return self._result(splats, self._limit_shapes(splats))
 
     def restore(self, state: TrainState) -> None:
         """Go on from `state`; BadInput where it is of other inputs or configuration."""
@@ -338,16 +347,16 @@ class Training(ModelFit):
             for part in self._parts:
                 part.after_backward(self._splats)
             self._optimizer.step(visible if self._config.adam == "visible" else None)
-            self._hold()
+            self._hold(self._splats)
         return loss
 
     def _watch(self, moment: Moment, output: RenderOutput) -> None:
         for part in self._parts:
             part.before_backward(moment, output)
 
-    def _limit_shapes(self) -> ShapeCounts:
-        counts = limit_shapes(self._splats, self._views.cameras.centers, self._config)
-        self._hold()
+    def _limit_shapes(self, splats: SplatTensors) -> ShapeCounts:
+        counts = limit_shapes(splats, self._views.cameras.centers, self._config)
+        self._hold(splats)
         return counts
 
 
@@ -355,8 +364,11 @@ def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConf
     """The parts that a configuration and its options ask for, for a model before its first step.
     The best model replaces the last one before density control removes what no pixel shows."""
     parts: list[Part] = []
+    mean = MeanModel(config.average_from) if config.average_from < 1 else None
+    if mean is not None:
+        parts.append(mean)
     if options.validation is not None:
-        parts.append(BestModel(options.validation, config.num_looks, options.backend, first_look(config)))
+        parts.append(BestModel(options.validation, config.num_looks, options.backend, first_look(config), mean))
     if config.drop_gaussians == "always":
         parts.append(DroppedGaussians(config.drop_share, config.seed))
     if config.thickness_weight > 0 or config.depth_spread_weight > 0:

@@ -18,6 +18,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.thinning import LATEST
+from radiant_core.train.mean_model import MeanModel
 from radiant_core.train.parts import Part
 from radiant_core.train.results import TrainResult
 from radiant_core.train.views import TrainingViews
@@ -42,13 +43,17 @@ def validation_psnr_db(splats: Splats, views: TrainingViews, backend: Backend) -
 
 class BestModel(Part):
     """The best of `num_looks` models, one each at even shares of what is left of a run after growth
-    and thinning; `looks` are steps and their PSNR in dB."""
+    and thinning, the last one the mean of the last steps; `looks` are steps and their PSNR in dB.
+    """
 
     name = "best"
 
-    def __init__(self, views: TrainingViews, num_looks: int, backend: Backend, first_look: float = FIRST_LOOK) -> None:
-        """The first of `num_looks` comes after this share of the run."""
-        self._first_look = first_look
+    def __init__(
+        self, views: TrainingViews, num_looks: int, backend: Backend, first_look: float = FIRST_LOOK, mean: MeanModel | None = None
+    ) -> None:
+        """The first of `num_looks` comes after this share of the run; `mean`: a part before this
+        one, None where the last model counts."""
+        self._first_look, self._mean = first_look, mean
         self._views, self._num_looks = views, num_looks
         self._backend: Backend = backend
         self.looks: list[tuple[int, float]] = []
@@ -64,7 +69,8 @@ class BestModel(Part):
         """Score the model where a look is due, and keep it if it is the best so far."""
         if not self.is_due(progress):
             return
-        model = splats.to_splats()
+        # A budget of time may end a run before this is seen: then its last look was of a model.
+        model = (splats if self._mean is None or progress < 1 else self._mean.last(splats)).to_splats()
         figure = validation_psnr_db(model, self._views, self._backend)
         if not self.looks or figure > max(value for _, value in self.looks):
             self.splats, self.step = model, step

@@ -28,6 +28,7 @@ from radiant_core.train.densify.density import AdaptiveDensity, DensityStatistic
 from radiant_core.train.densify.mcmc import RelocatedDensity
 from radiant_core.train.densify.policies import Mcmc, NoDensification
 from radiant_core.train.drop import DroppedGaussians
+from radiant_core.train.mean_model import MeanModel
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainResult, TrainState
 from radiant_core.train.shapes import ShapeCounts, limit_shapes
@@ -146,6 +147,8 @@ class Replica(ModelFit):
         config, parts = self._config, list[Part]()
         if config.drop_gaussians == "always":
             parts.append(DroppedGaussians(config.drop_share, config.seed))
+        if config.average_from < 1:
+            parts.append(MeanModel(config.average_from))
         if isinstance(config.density, Mcmc):
             parts.append(RelocatedDensity(config.density, config))
         elif not isinstance(config.density, NoDensification):
@@ -298,11 +301,12 @@ class Replica(ModelFit):
 
     def result(self, camera_centers: FloatArray) -> TrainResult:
         """The model and its figures, within the limits of cameras at (C,3)."""
-        return self._result(self._limit_shapes(camera_centers))
+        splats = self._last()
+        return self._result(splats, limit_shapes(splats, camera_centers, self._config))
 
     def outcome(self) -> TrainResult:
         """The model as this replica has it, and its figures."""
-        return self._result(ShapeCounts())
+        return self._result(self._last(), ShapeCounts())
 
     def state(self) -> TrainState:
         """A copy of all that changes from step to step."""
@@ -316,9 +320,6 @@ class Replica(ModelFit):
             self._magnitudes = _magnitudes_of(state, len(self._magnitudes))
         if self._view_loss is not None:
             self._view_loss.use_size(self._config.start_scale if self.progress < self._config.full_size_from else 1.0)
-
-    def _limit_shapes(self, camera_centers: FloatArray) -> ShapeCounts:
-        return limit_shapes(self._splats, camera_centers, self._config)
 
     def _moment(self, step: int) -> Moment:
         """Where a step (from 0) stands that all machines take."""
