@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 
 from radiant_core.aggregate.extend import BLIND_FACTOR
 from radiant_core.aggregate.join import TOUCHED_SHARE, contested_shares
-from radiant_core.aggregate.retrain import MEANS_END, RATES_END
+from radiant_core.aggregate.retrain import RATES_END
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.support import support_of
@@ -30,7 +30,7 @@ from radiant_core.light.lights import in_canonical_light
 from radiant_core.light.solve import lights_from_model
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats, concatenate_splats
-from radiant_core.train.config import TrainConfig
+from radiant_core.train.config import TrainConfig, without_mean
 from radiant_core.train.dense.points import dense_points
 from radiant_core.train.dense.seeding import PIXELS_PER_POINT
 from radiant_core.train.densify.policies import NoDensification
@@ -94,7 +94,7 @@ def refine_with_views(
     frozen = np.concatenate([~moved[near], np.zeros(len(added), bool)])
     steady = replace(
         config, sh_degree=model.sh_degree, sh_degree_every=0, density=NoDensification(), start_scale=1.0, drop_gaussians="none",
-        settle_epochs=None, average_from=1.0, means_lr_end=MEANS_END,
+        settle_epochs=None, **without_mean(config),
     )  # fmt: skip
     if config.max_epochs is not None:
         steady = replace(steady, num_steps=min(config.num_steps, config.max_epochs * len(fitted_views)), max_epochs=None)

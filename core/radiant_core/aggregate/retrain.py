@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from radiant_core.aggregate.config import Join
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.splats import Splats, concatenate_splats
-from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.config import TrainConfig, train_preset, without_mean
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.results import TrainResult
 from radiant_core.train.shapes import without_dead
 from radiant_core.train.trainer import FitOptions, Steps, fit_splats
 from radiant_core.train.views import TrainingViews
 
-RATES_END, MEANS_END = 0.3, 0.01
-"""Share of the rates left at the end of a retraining by `default`, and of that of the centres."""
+RATES_END = 0.3
+"""Share of the rates left at the end of a retraining by `default`; centres' fall as in training."""
 RATES = ("max_extent_per_distance", "means_lr", "means_lr_end", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
 """Of a configuration, the rates that `paper` takes from 3DGS, and the limit of their unit."""
 
@@ -80,7 +80,7 @@ def retraining_config(train: TrainConfig, join: Join, merged: Splats, num_views:
         "background": "black",
         "drop_gaussians": "none",
         "settle_epochs": None,
-        "average_from": 1.0,
+        **without_mean(train),
     }
-    rates = {name: getattr(train_preset("paper"), name) for name in RATES} if join.method == "paper" else {"means_lr_end": MEANS_END}
-    return replace(train, num_steps=join.num_steps(num_views), sh_degree=merged.sh_degree, **still, **rates)
+    rates = {name: getattr(train_preset("paper"), name) for name in RATES} if join.method == "paper" else {}
+    return replace(train, num_steps=join.num_steps(num_views), sh_degree=merged.sh_degree, **{**still, **rates})

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from radiant_core.aggregate.averaging import Refinement, limit_changes
 from radiant_core.aggregate.join_memory import plan_join_memory
-from radiant_core.aggregate.retrain import MEANS_END
 from radiant_core.decisions import Decision
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.hierarchy.messages import RefineTask
@@ -30,6 +29,7 @@ from radiant_core.light.solve import lights_from_model
 from radiant_core.regimes import LIGHT_SPREAD
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
+from radiant_core.train.config import without_mean
 from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from radiant_core.train.trainer import FitOptions, Steps, fit_splats
@@ -90,8 +90,7 @@ def refine_device(task: RefineTask, scene: Splats, views: TrainingViews, reporte
         background="black",
         drop_gaussians="none",
         settle_epochs=None,
-        average_from=1.0,
-        means_lr_end=MEANS_END,
+        **without_mean(task.train),
     )
     options = fit_options(task.backend, reporter, machine, lambda: training_key(start, views, config, bare))
     fitted = fit_splats(start, views, config, replace(options, steps=bare.steps, statistics_bytes=bare.statistics_bytes)).splats

@@ -26,6 +26,8 @@ from radiant_core.train.densify.policies import (
 
 NEVER = 10**9
 """Steps that no schedule reaches."""
+LAST_STEP_MEANS_END, LAST_STEP_SCALES_LR = 0.01, 2e-2
+"""Where the last step is the result; joins were measured with these."""
 CHECKPOINT_EVERY_S = 10.0
 """Seconds between two checkpoints of a training, unless a user says otherwise."""
 Preset = Literal["draft", "default", "standard", "paper"]
@@ -195,7 +197,7 @@ _SHORT = TrainConfig(
     means_lr=6.4e-4,
     means_lr_end=0.1,
     average_from=0.95,
-    scales_lr=2e-2,
+    scales_lr=3e-2,
     quats_lr=5e-3,
     opacities_lr=5e-2,
     sh0_lr=1e-2,
@@ -256,6 +258,13 @@ def train_preset(name: str) -> TrainConfig:
     if name not in _PRESETS:
         raise BadInput(f"train preset {name!r} is unknown: use one of {', '.join(get_args(Preset))}.")
     return _PRESETS[name]
+
+
+def without_mean(config: TrainConfig) -> Mapping[str, Any]:
+    """The settings of a training from `config` whose last step is its result, at rates that are
+    steady without a mean."""
+    rates = {"means_lr_end": LAST_STEP_MEANS_END, "scales_lr": LAST_STEP_SCALES_LR}
+    return {"average_from": 1.0, **{name: min(rate, getattr(config, name)) for name, rate in rates.items()}}
 
 
 @cache
