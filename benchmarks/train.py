@@ -59,7 +59,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.splats import Splats
-from radiant_core.train.config import TrainConfig, train_preset, with_settings
+from radiant_core.train.config import TrainConfig, train_preset, with_settings, without_mean
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_images, load_training_views
 
@@ -101,6 +101,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "dense points": {"dense_points": "always"},
     "any number of steps": {"max_epochs": None},
     "rates that never settle": {"settle_epochs": None},
+    "the last step alone": without_mean(train_preset("default")),
     "black background": {"background": "black"},
     "random background": {"background": "random"},
     "antialiased": {"antialiased": True},

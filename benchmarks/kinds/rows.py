@@ -14,6 +14,7 @@ import numpy as np
 from benchmarks.kinds.statistics import FORCED, STATISTICS, Case
 from radiant_core.evaluate.bootstrap import PairedDifference, paired_bootstrap
 from radiant_core.numerics import FloatArray
+from radiant_core.train.config import train_preset, without_mean
 from radiant_core.train.needs import PIXELS_PER_SPLAT
 
 HELPERS: Mapping[str, Mapping[str, Any]] = {
@@ -28,6 +29,7 @@ HELPERS: Mapping[str, Mapping[str, Any]] = {
     "few: more Gaussians": {"density.pixels_per_splat": PIXELS_PER_SPLAT},
     "thinned after growth": {"density.thin_to": 1.0},
     "settling rates": {"settle_epochs": None},
+    "mean of the last steps": without_mean(train_preset("default")),
     "small pictures first": {"start_scale": 1.0},
 }
 """Each helper of the preset, and the settings that switch it off."""

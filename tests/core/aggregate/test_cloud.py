@@ -203,7 +203,11 @@ class TestPaperAggregation:
         assert [getattr(made, name) for name in names] == [getattr(plain, name) for name in names]
         assert (made.num_steps, made.settle_epochs, made.density) == (70, None, NoDensification())
         ours = retraining_config(device, aggregate_preset("default").cloud, MODEL, 7)
-        assert [getattr(ours, name) for name in names] == [getattr(device, name) for name in names] and ours.scales_lr == 4 * made.scales_lr
+        # Axes of a device move faster, since the mean of its last steps steadies them; a join ends with its last step.
+        assert [getattr(ours, name) for name in names if name != "scales_lr"] == [
+            getattr(device, name) for name in names if name != "scales_lr"
+        ]
+        assert ours.scales_lr == 4 * made.scales_lr < device.scales_lr and ours.average_from == 1 > device.average_from
 
     def test_all_gaussians_stay_a_lone_model_is_retrained_and_density_control_rests(self) -> None:
         train = replace(train_preset("paper"), long_side_px=48, density=Adc(from_step=0, every=1))
