@@ -188,6 +188,11 @@ WORLDS: dict[str, Callable[[Path], World]] = {
 }
 
 
+ON_RAY = (COMPARED, "ground of a lone edge")
+"""Ray starts the same processes of the same folders: a recipe of two tiers and one without retraining at the cloud are enough."""
+FOLDED = [("local", name) for name in WORLDS] + [("ray", name) for name in ON_RAY]
+
+
 @pytest.fixture(scope="module")
 def worlds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, World]:
     return {name: world_of(tmp_path_factory.mktemp("world")) for name, world_of in WORLDS.items()}
@@ -211,8 +216,9 @@ def runs(
     command: Callable[[NodeTask], list[str]],
     tmp_path_factory: pytest.TempPathFactory,
 ) -> dict[str, Path]:
-    """Every world folded by an executor, all of them as one tree: the folders of the runs."""
+    """Worlds folded by an executor, all of them as one tree: the folders of the runs."""
     folder = tmp_path_factory.mktemp(request.param)
+    worlds = {name: worlds[name] for kind, name in FOLDED if kind == request.param}
     dealers = {name: world.dealer(folder / name) for name, world in worlds.items()}
     nodes = {f"{name}/{node.id}": (dealers[name], node) for name, world in worlds.items() for node in world.tree}
 
@@ -263,7 +269,7 @@ def assert_same(ours: Splats | None, theirs: Splats) -> None:
         np.testing.assert_array_equal(array, theirs.arrays()[name], err_msg=name)
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize(("runs", "name"), FOLDED, indirect=["runs"])
 def test_every_executor_makes_the_scene_of_the_fold_in_one_process(
     name: str, runs: dict[str, Path], oracle: dict[str, Oracle], tmp_path: Path
 ) -> None:
@@ -310,7 +316,7 @@ def test_every_executor_keeps_the_version_that_the_fold_in_one_process_keeps(
     assert result["versions"] == pytest.approx(dict(kept.choice.mean_db), abs=1e-9)
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize(("runs", "name"), FOLDED, indirect=["runs"])
 def test_every_executor_decides_what_the_fold_in_one_process_decides(name: str, runs: dict[str, Path], oracle: dict[str, Oracle]) -> None:
     for stage, recorder in oracle[name].recorders.items():
         notes = read_json(run_of(runs[name]) / stage / "notes.json")
