@@ -357,7 +357,8 @@ def _run(fds: list[int]) -> None:
     module, *arguments = request["command"]
     sys.path.insert(0, request["cwd"])
     sys.argv = [module, *arguments]
-    with contextlib.suppress(OSError):
+    # Kernels that are emulated tell less.
+    with contextlib.suppress(OSError, ValueError):
         _name([sys.executable, "-m", module, *arguments])
     if "torch" in sys.modules and (threads := _num_threads(os.environ)) is not None:
         sys.modules["torch"].set_num_threads(threads)
