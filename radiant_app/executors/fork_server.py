@@ -18,7 +18,9 @@ that it has forked go on.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import ctypes
 import gc
 import json
 import os
@@ -32,7 +34,7 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NoReturn
 
 from radiant_app.executors.sessions import FIRST_PID
 from radiant_app.interrupts import defer_interrupts
@@ -355,15 +357,42 @@ def _run(fds: list[int]) -> None:
     module, *arguments = request["command"]
     sys.path.insert(0, request["cwd"])
     sys.argv = [module, *arguments]
-    # What `ps` and `top` call it.
-    with contextlib.suppress(OSError):
-        Path("/proc/self/comm").write_text(" ".join([*arguments[:1], "radiant"]))
+    # Kernels that are emulated tell less.
+    with contextlib.suppress(OSError, ValueError):
+        _name([sys.executable, "-m", module, *arguments])
     if "torch" in sys.modules and (threads := _num_threads(os.environ)) is not None:
         sys.modules["torch"].set_num_threads(threads)
 
     import runpy
 
-    runpy.run_module(module, run_name="__main__", alter_sys=True)
+    try:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+    except SystemExit as ended:
+        if not isinstance(ended.code, int | None):
+            raise
+        _end(ended.code or 0)
+    _end(0)
+
+
+def _end(code: int) -> NoReturn:
+    """End as Python does, with libraries left as they are: a fork that takes them apart copies them, 0.3 s of CPU time."""
+    threading._shutdown()  # pyright: ignore[reportAttributeAccessIssue]
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # What libraries of C have printed.
+    ctypes.CDLL(None).fflush(None)
+    os._exit(code & 0xFF)
+
+
+def _name(command: Sequence[str]) -> None:
+    """What `ps` and `top` call this process: its command, in the place of its server's and as far as that goes."""
+    Path("/proc/self/comm").write_text(" ".join([*command[3:4], "radiant"]))
+    # Where its arguments begin and end in memory; see proc(5).
+    start, end = map(int, Path("/proc/self/stat").read_text().rpartition(")")[2].split()[45:47])
+    if start:
+        words = "\0".join(command).encode(errors="surrogateescape")[: end - start - 1]
+        ctypes.memmove(start, words.ljust(end - start, b"\0"), end - start)
 
 
 def _content(fd: int) -> bytes:

@@ -16,6 +16,7 @@ import pytest
 from radiant_app.commands.run.batch import BatchResult, JobResult
 from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_core.io.records import load_plan
+from tests.app.pipeline_kit import radiant, refused
 
 HAMLET = sample_scenes_folder() / "hamlet"
 WAIT_S = 60.0
@@ -147,12 +148,11 @@ def test_an_emulated_run_keeps_emulated_times_apart(desk: Path, finished: subpro
 
 
 def test_resuming_skips_finished_jobs_and_tries_the_others_again(desk: Path, finished: subprocess.CompletedProcess[str]) -> None:
-    again = batch(desk / "night.toml", "--resume")
-    output, errors = again.communicate(timeout=WAIT_S)
+    again = radiant("run", desk / "night.toml", "--resume")
     assert again.returncode == 2, "both failures are bad input now"
     assert [job["status"] for job in summary(desk / "night")["jobs"]] == ["failed", "failed", "skipped"]
     assert summary(desk / "night")["jobs"][2]["figures"]["num_gaussians"] > 0
-    assert "good" in output and "skipped" in output and "summary.html" in output, errors
+    assert "good" in again.stdout and "skipped" in again.stdout and "summary.html" in again.stdout, again.stderr
 
 
 def test_a_finished_batch_is_not_begun_again_and_options_belong_into_the_file(
@@ -164,9 +164,8 @@ def test_a_finished_batch_is_not_begun_again_and_options_belong_into_the_file(
         (("--steps", 3), "--steps stands beside a job file"),
         (("--out", desk / "one.toml"), "file"),
     ):
-        process = batch(desk / "night.toml", *arguments)
-        _, errors = process.communicate(timeout=WAIT_S)
-        assert process.returncode == 2 and told in errors and "Traceback" not in errors, errors
+        ended = refused("run", desk / "night.toml", *arguments)
+        assert ended.returncode == 2 and told in ended.stderr and "Traceback" not in ended.stderr, ended.stderr
     assert summary(desk / "night") == before
 
 

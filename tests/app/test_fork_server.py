@@ -94,6 +94,24 @@ sys.exit(3)
     assert second.wait() == 0 and second.pid != process.pid, "a variable of one is none of the next"
 
 
+def test_a_fork_is_named_by_its_command_and_ends_with_all_that_it_and_its_libraries_printed(start: Start) -> None:
+    lines = """
+import atexit, ctypes, sys, threading, time
+from pathlib import Path
+atexit.register(print, 'torn down')
+threading.Thread(target=lambda: (time.sleep(0.2), print('a thread'))).start()
+ctypes.CDLL(None).printf(b'of C\\n')
+print(Path('/proc/self/cmdline').read_bytes().rstrip(b'\\0').split(b'\\0')[-1].decode())
+sys.exit(3)
+"""
+    process = start(lines, "devices/d")
+    assert process.stdout is not None
+    assert sorted(process.stdout.read().splitlines()) == ["a thread", "devices/d", "of C", "torn down"]
+    assert process.wait() == 3
+    in_words = start("import sys; sys.exit('in words')")
+    assert in_words.wait() == 1
+
+
 def test_an_error_and_a_signal_end_it_as_they_end_any_process(start: Start, tmp_path: Path) -> None:
     assert start("raise ValueError('played')").wait() == 1
     assert "ValueError: played" in (tmp_path / "log.txt").read_text()

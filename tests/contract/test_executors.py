@@ -25,11 +25,11 @@ from radiant_core.errors import BadInput
 DEVICES = tuple(Tree(id=f"devices/{number}", tier="device") for number in "123")
 TREE = Tree(id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=DEVICES),))
 SEAL = """
-import os
+import json, os
 from pathlib import Path
-from radiant_core.io.run_store import seal
 Path('made').write_text(os.environ['OMP_NUM_THREADS'])
-seal(Path('.'), 'key', ['made'])
+# As `seal` writes it, without the start of numpy.
+Path('done.json').write_text(json.dumps({'version': 1, 'key': 'key', 'files': {}}))
 """
 PROGRESS = StageProgress(stage="devices/1", done=1, total=2, note="half")
 Make = Callable[[dict[str, str]], Executor]

@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -78,6 +78,8 @@ def masked_ground(folder: Path) -> World:
     return replace(world, recipe=grouped(world.recipe, ("edges/edge-1",), overlaps=True, masked=True))
 
 
+Command = Callable[[NodeTask], list[str]]
+STEPS = 3
 WORLDS: dict[str, Callable[[Path], World]] = {
     "all of the hamlet": all_of_the_hamlet,
     "overlapping hamlet": overlapping_hamlet,
@@ -99,8 +101,15 @@ def oracle(worlds: dict[str, World]) -> dict[str, Oracle]:
 
 
 @pytest.fixture(scope="module")
-def command(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[NodeTask], list[str]]]:
+def command(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Command]:
     with forked_workers(tmp_path_factory.mktemp("server")) as start:
+        yield start
+
+
+@pytest.fixture(scope="module")
+def telling(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Command]:
+    """Workers that tell of every step."""
+    with forked_workers(tmp_path_factory.mktemp("server"), "tests.contract.telling_worker") as start:
         yield start
 
 
@@ -121,7 +130,7 @@ def test_processes_make_the_model_of_the_fold_in_one_process(
     request: pytest.FixtureRequest,
     worlds: dict[str, World],
     oracle: dict[str, Oracle],
-    command: Callable[[NodeTask], list[str]],
+    command: Command,
     tmp_path: Path,
 ) -> None:
     executor: Executor = LocalExecutor(num_workers=2, command=command)
@@ -140,66 +149,65 @@ def test_processes_make_the_model_of_the_fold_in_one_process(
         assert ours == theirs
 
 
-@pytest.mark.parametrize("victim", ["devices/edge-1-1", "edges/edge-2", "cloud"])
-@pytest.mark.parametrize("name", ["all of the hamlet", "overlapping hamlet"])
-def test_a_machine_that_is_killed_comes_back_and_nothing_changes(
-    name: str, victim: str, worlds: dict[str, World], oracle: dict[str, Oracle], command: Callable[[NodeTask], list[str]], tmp_path: Path
-) -> None:
-    world, killed, warned = worlds[name], threading.Event(), list[str]()
+@dataclass
+class Kills:
+    """A listener of a fold that kills machines of a group in turn, the root as the last: each once the root has gone on by
+    `STEPS` since the one before it was started again."""
 
-    def listen(event: Event) -> None:
+    run: Path
+    root: str
+    victims: tuple[str, ...]
+    killed: list[str] = field(default_factory=list)
+    warned: list[str] = field(default_factory=list)
+    back: set[str] = field(default_factory=set)
+    """Machines that were started again."""
+    furthest: float = 0.0
+    """Step of the root when the last victim was started again, which its group had to wait for."""
+
+    def __call__(self, event: Event) -> None:
         if isinstance(event, Warned):
-            warned.append(event.message)
-        if isinstance(event, StageProgress) and event.stage == "cloud" and event.done >= 3 and not killed.is_set():
-            killed.set()
-            for pid in pids_of(tmp_path / "run" / victim):
+            self.warned.append(event.message)
+            self.back |= {event.stage} if "tried again" in event.message else set()
+        if not isinstance(event, StageProgress) or event.stage != self.root:
+            return
+        if not self.back.issuperset(self.killed):
+            self.furthest = event.done
+        elif event.done >= self.furthest + STEPS and len(self.killed) < len(self.victims):
+            self.furthest = event.done
+            self.killed.append(self.victims[len(self.killed)])
+            for pid in pids_of(self.run / self.killed[-1]):
                 os.kill(pid, signal.SIGKILL)
-
-    executor = LocalExecutor(num_workers=2, command=command, retry_policy=RetryPolicy(max_attempts=3))
-    cloud = fold(world, tmp_path / "run", executor, listen)
-    made = oracle[name].run.scene.splats
-    assert_same(made, load_ply(cloud / "scene.ply"))
-    assert not killed.is_set() or any("tried again" in message for message in warned)
 
 
 @pytest.mark.parametrize(
-    ("name", "victim"),
+    ("name", "victims"),
     [
-        ("masked hamlet", "devices/edge-1-1"),
-        ("masked hamlet", "edges/edge-2"),
-        ("masked hamlet", "cloud"),
-        ("masked ground", "devices/edge-1-2"),
-        ("masked ground", "edges/edge-1"),
+        ("all of the hamlet", ("devices/edge-1-1", "edges/edge-2", "cloud")),
+        ("overlapping hamlet", ("devices/edge-1-1", "edges/edge-2", "cloud")),
+        ("masked hamlet", ("devices/edge-1-1", "edges/edge-2", "cloud")),
+        ("masked ground", ("devices/edge-1-2", "edges/edge-1")),
     ],
 )
-def test_under_masks_a_machine_that_is_killed_comes_back_all_of_its_sum_begin_anew_and_nothing_changes(
-    name: str, victim: str, worlds: dict[str, World], oracle: dict[str, Oracle], command: Callable[[NodeTask], list[str]], tmp_path: Path
+def test_machines_that_are_killed_one_after_another_come_back_and_nothing_changes(
+    name: str, victims: tuple[str, ...], worlds: dict[str, World], oracle: dict[str, Oracle], telling: Command, tmp_path: Path
 ) -> None:
-    world, killed, warned = worlds[name], threading.Event(), list[str]()
-    ((root, trained),) = oracle[name].run.groups.items()
-
-    def listen(event: Event) -> None:
-        if isinstance(event, Warned):
-            warned.append(event.message)
-        if isinstance(event, StageProgress) and event.stage == root and event.done >= 3 and not killed.is_set():
-            killed.set()
-            for pid in pids_of(tmp_path / "run" / victim):
-                os.kill(pid, signal.SIGKILL)
-
-    executor = LocalExecutor(num_workers=2, command=command, retry_policy=RetryPolicy(max_attempts=3))
-    cloud = fold(world, tmp_path / "run", executor, listen)
+    """Under masks all of the sum of the one that came back begin anew."""
+    world, ((root, trained),) = worlds[name], oracle[name].run.groups.items()
+    kills = Kills(run=tmp_path / "run", root=root, victims=victims)
+    executor = LocalExecutor(num_workers=2, command=telling, retry_policy=RetryPolicy(max_attempts=4))
+    cloud = fold(world, tmp_path / "run", executor, kills)
     assert_same(oracle[name].run.scene.splats, load_ply(cloud / "scene.ply"))
+    assert tuple(kills.killed) == victims and kills.back.issuperset(victims), kills.warned
     summary = read_json(tmp_path / "run" / root / "summary.json")
     # The sum of keys that do not fit each other is noise, and refused.
     assert (summary["num_steps"], summary["num_refused"]) == (trained.result.num_steps, 0)
     assert all(read_json(path)["num_refused"] == 0 for path in (tmp_path / "run").glob("edges/*/summary.json"))
-    assert killed.is_set() and any("tried again" in message for message in warned), warned
-    if victim.startswith("devices/"):
-        assert any("it came back with a new key" in message for message in warned), warned
+    if trained.plan.masked:
+        assert any("it came back with a new key" in message for message in kills.warned), kills.warned
 
 
 def test_a_masked_training_stops_without_one_of_its_devices_and_resumes_with_it(
-    worlds: dict[str, World], command: Callable[[NodeTask], list[str]], tmp_path: Path
+    worlds: dict[str, World], command: Command, tmp_path: Path
 ) -> None:
     world, run, killed = worlds["masked ground"], tmp_path / "run", threading.Event()
 
@@ -238,9 +246,7 @@ def pids_of(folder: Path) -> list[int]:
     return found
 
 
-def test_a_device_that_never_comes_is_named_and_the_others_train(
-    worlds: dict[str, World], command: Callable[[NodeTask], list[str]], tmp_path: Path
-) -> None:
+def test_a_device_that_never_comes_is_named_and_the_others_train(worlds: dict[str, World], command: Command, tmp_path: Path) -> None:
     world, warned = worlds["all of the hamlet"], list[str]()
     dead = "devices/edge-2-2"
 

@@ -14,7 +14,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.choices import Painter
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats, concatenate_splats
-from radiant_viewer.layers.backdrop import Rgbd
+from radiant_viewer.layers.depth_picture import Rgbd
 from radiant_viewer.pictures import splat_picture
 from radiant_viewer.pictures.view_pose import ViewPose
 from radiant_viewer.splats.choosing import LEAST_DB, MAX_DEPTH_ERROR, Measured, choose_painter

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.pair_fit import PairFit, compose, similarity_about, xi_about
@@ -52,6 +51,8 @@ def uncertainty_of(covariance: FloatArray) -> FrameUncertainty:
 
 def solve_frames(centers: FloatArray, priors: Sequence[FrameUncertainty], edges: Sequence[FrameEdge]) -> SolvedFrames:
     """Corrections of M models with camera middles (M,3) m, GPS `priors` (M) and edges."""
+    from scipy.optimize import least_squares
+
     centers = check_array("centers", centers, (len(priors), 3))
     sigmas = np.concatenate([prior.sigmas for prior in priors]) if len(priors) else np.zeros(0)
     whitening = [np.linalg.inv(np.linalg.cholesky(edge.fit.covariance)) for edge in edges]

@@ -27,6 +27,11 @@ _begun: list[BegunCommand] = []
 """Those at work: a window may be closed before them."""
 
 
+def command_line(arguments: Sequence[str]) -> list[str]:
+    """What starts a `radiant` command."""
+    return [sys.executable, "-m", "radiant_app", *arguments]
+
+
 class BegunCommand:
     """A `radiant` command at work; what it says goes to a file that nobody else sees."""
 
@@ -35,7 +40,7 @@ class BegunCommand:
         self._words: str | None = None
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the command)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "radiant_app", *arguments],
+            command_line(arguments),
             stdin=subprocess.DEVNULL,
             stdout=self._output,
             stderr=self._output,

@@ -23,7 +23,8 @@ from radiant_core.numerics import FloatArray, check_array
 from radiant_viewer.host.navigator import Navigator
 from radiant_viewer.host.scale_bar import ScaleBar
 from radiant_viewer.host.view_widget import SAMPLES_AT_REST, ViewWidget
-from radiant_viewer.layers.backdrop import Backdrop, Rgbd
+from radiant_viewer.layers.backdrop import Backdrop
+from radiant_viewer.layers.depth_picture import Rgbd
 from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer, has_same_structure, update_layer
 from radiant_viewer.layers.layer import CLOUD_SIZE, Layer
 from radiant_viewer.layers.map_labels import add_map_labels

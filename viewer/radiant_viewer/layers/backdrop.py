@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 import pyvista as pv
-from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonCore import vtkCommand
 from vtkmodules.vtkCommonDataModel import vtkImageData
 from vtkmodules.vtkRenderingCore import vtkPolyDataMapper, vtkTexture
 
-Rgbd = NDArray[np.float32]
-"""Colours 0 to 1 and depth (H,W,4), rows downwards."""
+from radiant_viewer.layers.depth_picture import Rgbd
+
 _CORNERS = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
 _PLACE = "gl_Position = vec4(vertexMC.xy, 0.0, 1.0);\n"
 # Colours are interpolated where the picture is coarse; depths never are: between a roof and the

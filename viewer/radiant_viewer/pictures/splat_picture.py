@@ -22,6 +22,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.render.reach import Reach
 from radiant_core.splats import Splats
 from radiant_viewer.layers.backdrop import Backdrop
+from radiant_viewer.layers.depth_picture import OPAQUE
 from radiant_viewer.layers.drawing import add_layer
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.pictures.images import Drawing, Image
@@ -46,8 +47,6 @@ DIRECTION_DEG = (205, 42)
 KEPT_WHITE_PX = 7.5
 """White within this distance of a marker belongs to the marker."""
 NEAR_SHARE = 1e-3
-OPAQUE = 0.5
-"""Least share of a pixel that the model must fill to hide what lies behind it."""
 
 
 def draw_ground_map(layers: Sequence[Layer], splats: Splats, size_wh: tuple[int, int]) -> Drawing:

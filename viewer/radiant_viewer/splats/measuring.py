@@ -11,7 +11,6 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -22,30 +21,27 @@ from radiant_core.choices import Painter
 from radiant_core.io.ply import load_ply
 from radiant_core.render.rasterize import resolve_backend
 from radiant_core.splats import Splats
-from radiant_viewer.layers.backdrop import Rgbd
-from radiant_viewer.pictures.splat_picture import fit_camera
+from radiant_viewer.layers.depth_picture import Rgbd
 from radiant_viewer.splats.choosing import Measured, has_graphics_card
-from radiant_viewer.splats.open3d_rgbd import Open3DRenderer
-from radiant_viewer.splats.rgbd import ModelRenderer
-from radiant_viewer.splats.vtk_rgbd import VtkRenderer
+from radiant_viewer.splats.drawers import Drawer, make_drawer
 
 SIZE_WH = (640, 400)
 NEAR_SHARE = 0.15
 """Of the distance from which all of it is seen: the second picture is from within."""
 WORST_DB, WORST_ERROR = 0.0, 1e9
 """Where two pictures show different pixels."""
-Drawer = ModelRenderer | VtkRenderer | Open3DRenderer
-DRAWERS: dict[str, Callable[[Splats], Drawer]] = {"radiant": ModelRenderer, "vtk": VtkRenderer, "open3d": Open3DRenderer}
 
 
 def measure(splats: Splats, painter: Painter) -> Measured:
     """Draw a model of at least one Gaussian by ours and by another painter, from outside and from
     within; the mean time, and the worse of the differences."""
+    from radiant_viewer.pictures.splat_picture import fit_camera
+
     low, high = np.quantile(splats.means.astype(np.float64), [0.05, 0.95], axis=0)
     outside = fit_camera(np.stack([low, high]), SIZE_WH)
     pose = outside.cam_from_world.copy()
     pose[0, :3, 3] = NEAR_SHARE * pose[0, :3, 3] - (1 - NEAR_SHARE) * pose[0, :3, :3] @ ((low + high) / 2)
-    drawers = [DRAWERS[name](splats) for name in ("radiant", painter)]
+    drawers = [make_drawer("radiant", splats), make_drawer(painter, splats)]
     pairs = [[_drawn(drawer, camera) for drawer in drawers] for camera in (outside, replace(outside, cam_from_world=pose))]
     return Measured(
         backend=resolve_backend("auto"),

@@ -13,7 +13,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.io.open3d_formats import open3d_point_cloud
 from radiant_core.render.reach import Reach
 from radiant_core.splats import Splats
-from radiant_viewer.layers.backdrop import Rgbd
+from radiant_viewer.layers.depth_picture import Rgbd
 from radiant_viewer.splats.rgbd import ModelRenderer
 
 TILES_PER_SPLAT = 4096

@@ -15,8 +15,7 @@ from radiant_core.render.contract import SplatTensors
 from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
 from radiant_core.render.reach import Reach
 from radiant_core.splats import Splats
-from radiant_viewer.layers.backdrop import Rgbd
-from radiant_viewer.pictures.splat_picture import OPAQUE
+from radiant_viewer.layers.depth_picture import OPAQUE, Rgbd
 
 
 class ModelRenderer:

@@ -15,7 +15,7 @@ from PySide6.QtCore import QObject, QProcess, Signal
 from radiant_core.cameras import Cameras
 from radiant_core.choices import Painter
 from radiant_core.numerics import FloatArray
-from radiant_viewer.layers.backdrop import Rgbd
+from radiant_viewer.layers.depth_picture import Rgbd
 from radiant_viewer.pictures.images import Image
 
 END_MS = 2000

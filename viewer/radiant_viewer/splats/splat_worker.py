@@ -16,7 +16,6 @@ import os
 import sys
 import time
 from collections import OrderedDict
-from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
@@ -24,12 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
+from radiant_core.choices import Painter
 from radiant_core.errors import RadiantError
 from radiant_core.io.ply import load_ply
 from radiant_core.splats import Splats
-from radiant_viewer.layers.backdrop import Rgbd
+from radiant_viewer.layers.depth_picture import Rgbd
 from radiant_viewer.layers.splat_layer import inside_box
-from radiant_viewer.splats.measuring import DRAWERS, Drawer
+from radiant_viewer.splats.drawers import Drawer, make_drawer
 
 MAX_PARTS = 4
 """Parts of the model that are kept: the whole, the ground of the map, few Gaussians, a box."""
@@ -38,8 +38,8 @@ MAX_PARTS = 4
 class Parts:
     """Parts of a model, each cut out once, of which the latest few are kept."""
 
-    def __init__(self, splats: Splats, make_drawer: Callable[[Splats], Drawer]) -> None:
-        self._splats, self._make_drawer = splats, make_drawer
+    def __init__(self, splats: Splats, painter: Painter) -> None:
+        self._splats, self._painter = splats, painter
         self._renderers: OrderedDict[str, Drawer | None] = OrderedDict()
 
     def renderer(self, box: list[list[float]] | None, max_gaussians: int | None, keep_path: str | None) -> Drawer | None:
@@ -51,7 +51,7 @@ class Parts:
             if max_gaussians is not None and len(inside) > max_gaussians:
                 weights = _weights(self._splats)[inside]
                 inside = inside[np.sort(np.argpartition(-weights, max_gaussians)[:max_gaussians])]
-            self._renderers[key] = self._make_drawer(self._splats.select(inside)) if len(inside) else None
+            self._renderers[key] = make_drawer(self._painter, self._splats.select(inside)) if len(inside) else None
         self._renderers.move_to_end(key)
         while len(self._renderers) > MAX_PARTS:
             self._renderers.popitem(last=False)
@@ -65,10 +65,10 @@ def _weights(splats: Splats) -> NDArray[np.float32]:
     return np.asarray(np.exp(log_scales[:, 1] + log_scales[:, 2]) / (1 + np.exp(-splats.logit_opacities)), np.float32)
 
 
-def serve(path: Path, frames: str, painter: str, requests: IO[bytes], answers: IO[bytes]) -> None:
+def serve(path: Path, frames: str, painter: Painter, requests: IO[bytes], answers: IO[bytes]) -> None:
     """Answer requests until the stream ends."""
     splats = load_ply(path)
-    parts = Parts(splats, DRAWERS[painter])
+    parts = Parts(splats, painter)
     _answer(answers, {"ready": True, "num_gaussians": len(splats)})
     for line in requests:
         request = json.loads(line)
@@ -111,7 +111,8 @@ def main() -> int:
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     try:
-        serve(Path(sys.argv[1]), sys.argv[2], sys.argv[3], sys.stdin.buffer, pipe)
+        painter: Painter = "vtk" if sys.argv[3] == "vtk" else "open3d" if sys.argv[3] == "open3d" else "radiant"
+        serve(Path(sys.argv[1]), sys.argv[2], painter, sys.stdin.buffer, pipe)
     except BrokenPipeError:
         return 0
     except RadiantError as error:

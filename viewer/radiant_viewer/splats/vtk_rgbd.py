@@ -23,9 +23,9 @@ from radiant_core.numerics import FloatArray
 from radiant_core.render.reach import Reach
 from radiant_core.spherical_harmonics import sh_terms
 from radiant_core.splats import Splats
-from radiant_viewer.layers.backdrop import Rgbd
+from radiant_viewer.layers.depth_picture import OPAQUE, Rgbd
 from radiant_viewer.pictures.offscreen import egl_rendering
-from radiant_viewer.pictures.splat_picture import OPAQUE, aim_as
+from radiant_viewer.pictures.splat_picture import aim_as
 
 DILATION_PX2 = 0.3
 """As every rasterizer here has it (`render/contract.py`): VTK by itself has none."""

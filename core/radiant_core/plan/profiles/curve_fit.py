@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import optimize  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
@@ -116,6 +115,8 @@ def _errors(curve: CostCurve, counts: FloatArray, values: FloatArray) -> tuple[f
 
 def _fit_terms(terms: FloatArray, values: FloatArray) -> tuple[list[float], float]:
     """Coefficients ≥ 0 of the terms (S,K) with the least relative error, and that error."""
+    from scipy import optimize  # pyright: ignore[reportMissingTypeStubs]
+
     scale = np.abs(terms).max(axis=0)
     scale[scale == 0] = 1.0
     solver: Any = optimize

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import optimize  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.profiles.profile import Profile
@@ -57,6 +56,8 @@ class StepTime:
 def step_time(profile: Profile, splat_bytes: float) -> StepTime:
     """The law that a profile's curves of training and bytes follow, with the least relative error
     over the counts that they hold for."""
+    from scipy import optimize  # pyright: ignore[reportMissingTypeStubs]
+
     low, high = profile.train_s.smallest_count, max(profile.train_s.largest_count, profile.train_s.smallest_count + 1)
     counts = np.unique(np.geomspace(low, high, _SAMPLES).round())
     each_s = profile.train_s.curve(counts) / profile.key.num_steps

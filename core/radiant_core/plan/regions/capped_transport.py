@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
@@ -86,6 +85,8 @@ class _Boxes:
 
     def smooth_weights(self, limits: Indices) -> FloatArray:
         """Weights (E,) ≤ 0 with the least dual."""
+        from scipy import optimize  # pyright: ignore[reportMissingTypeStubs]
+
         room, unit_m2 = limits.astype(np.float64), self.unit_m2
 
         def scaled(weights: FloatArray) -> tuple[float, FloatArray]:

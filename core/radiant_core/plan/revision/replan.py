@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import optimize, sparse  # pyright: ignore[reportMissingTypeStubs]
+from scipy import sparse  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
@@ -310,6 +310,8 @@ def _transport_natively(points: FloatArray, devices: Indices, centres: FloatArra
 def _solve_linear_program(points: FloatArray, owners: Indices, centres: FloatArray, gains: Indices, losses: Indices) -> Indices:
     """Arcs point → receiver with the change of squared distance; every point at most one, receivers
     and losers exactly."""
+    from scipy import optimize  # pyright: ignore[reportMissingTypeStubs]
+
     receivers, losers = np.flatnonzero(gains), np.unique(owners)
     num_points, num_receivers = len(points), len(receivers)
     near = np.sum((points[:, None] - centres[receivers]) ** 2, axis=-1)
