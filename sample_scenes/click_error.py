@@ -148,7 +148,9 @@ def compare_lassos(splats: Splats, camera: Cameras) -> None:
         ours, ours_s = timed(lambda stroke=stroke: stroke.chosen(splats.means))
         theirs, theirs_s = timed(lambda path=path: chosen_by_open3d(splats, pose, path))
         same = int((ours & theirs).sum()), int((ours ^ theirs).sum())
-        print(f"lasso, {name}: both choose {same[0]:,} of {len(splats):,}, one alone {same[1]}; ours {ours_s:.3f} s, Open3D {theirs_s:.3f} s")
+        print(
+            f"lasso, {name}: both choose {same[0]:,} of {len(splats):,}, one alone {same[1]}; ours {ours_s:.3f} s, Open3D {theirs_s:.3f} s"
+        )
 
 
 def chosen_by_open3d(splats: Splats, pose: FloatArray, path: FloatArray) -> Any:

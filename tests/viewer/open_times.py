@@ -25,8 +25,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tests.browsers import chromium
 from tests.viewer.first_picture import browser_cpu_s
 from tests.viewer.web_first_picture import FIRST, FRAME
@@ -50,20 +48,28 @@ def begun(command: list[str], environment: dict[str, str]) -> Iterator[subproces
             process.wait(60)
 
 
+@contextmanager
+def watched_display() -> Iterator[tuple[str, mmap.mmap]]:
+    """A display, and the memory that it draws into."""
+    with (
+        tempfile.TemporaryDirectory() as memory,
+        virtual_display(f"{SIZE_WH[0]}x{SIZE_WH[1]}x24", "-fbdir", memory) as display,
+        (Path(memory) / "Xvfb_screen0").open("rb") as file,
+    ):
+        yield display, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
 def open_window(radiant: str, run: Path) -> tuple[float, float, float]:
     """Seconds until the first paint and until the screen is still, and CPU seconds until then."""
-    with tempfile.TemporaryDirectory() as memory, virtual_display("x".join(map(str, (*SIZE_WH, 24))), "-fbdir", memory) as display:
-        with (Path(memory) / "Xvfb_screen0").open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as pages:
-            shown = np.frombuffer(pages[:], np.uint8)
-            began = time.monotonic()
-            with begun([radiant, "inspect", str(run)], {"DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}) as process:
-                first_s, last_s, cpu_s = 0.0, 0.0, 0.0
-                while (now := time.monotonic() - began) < PATIENCE_S and (not first_s or now - last_s < REST_S):
-                    time.sleep(POLL_S)
-                    screen = np.frombuffer(pages[:], np.uint8)
-                    if not np.array_equal(screen, shown):
-                        last_s, shown, cpu_s = time.monotonic() - began, screen, browser_cpu_s(process.pid)
-                        first_s = first_s or last_s
+    first_s, last_s, cpu_s = 0.0, 0.0, 0.0
+    with watched_display() as (display, memory):
+        shown, began = memory[:], time.monotonic()
+        with begun([radiant, "inspect", str(run)], {"DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}) as process:
+            while (now := time.monotonic() - began) < PATIENCE_S and (not first_s or now - last_s < REST_S):
+                time.sleep(POLL_S)
+                if (screen := memory[:]) != shown:
+                    last_s, shown, cpu_s = time.monotonic() - began, screen, browser_cpu_s(process.pid)
+                    first_s = first_s or last_s
     assert first_s, "no window came"
     return first_s, last_s, cpu_s
 

@@ -99,7 +99,7 @@ def picture_start(run: Path, photos: Path, out: Path) -> None:
                 for path in (photos, run):
                     page.locator("#path").fill(str(path))
                     page.locator("#look").click()
-                    page.wait_for_function("!document.getElementById('start').disabled")
+                    page.locator("#start:enabled").wait_for()
                     if path == photos:
                         page.locator("#machines").select_option("form")
                         page.locator("#line", has_text="--system").wait_for()
@@ -115,7 +115,9 @@ def picture_window(run: Path, photos: Path, out: Path) -> None:
         with virtual_display(f"{width}x{height}x24") as display, tempfile.TemporaryDirectory() as home:
             command = [sys.executable, "-m", "tests.viewer.window_screens", str(run), str(photos), str(out)]
             hidden = {"DISPLAY": display, "QT_QPA_PLATFORM": "xcb", "XDG_CONFIG_HOME": home}
-            subprocess.run(["env", *(f"{name}={value}" for name, value in hidden.items()), *command], cwd=ROOT, check=True, timeout=patient(900))
+            subprocess.run(
+                ["env", *(f"{name}={value}" for name, value in hidden.items()), *command], cwd=ROOT, check=True, timeout=patient(900)
+            )
 
 
 def _opened(browser: Any, size_wh: tuple[int, int], theme: str, address: str) -> Any:
