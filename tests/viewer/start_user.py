@@ -61,8 +61,11 @@ def _seen(window: type, but: object = None) -> Any:
 def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> dict[str, Any]:
     """What is said of photographs, of a flight, of machines and qualities, and of nothing."""
     user = Newcomer(window)
+    assert window.map.canvas.scale_bar.isHidden(), "a map of nothing has a scale"
+    assert not window.recent.count() and not window.recent.isVisible(), "an empty list is in the way"
     user.drop(photos)
     until(lambda: window.command, "nothing was said of the photographs", PATIENCE_S)
+    assert window.map.canvas.scale_bar.isVisible()
     usual = {"title": window.found_source["title"], "command": window.command, "forecast": window.forecast.text()}
     places = len(window.map.canvas.actors.get("Places", ()))
     window.quality.button(2).click()

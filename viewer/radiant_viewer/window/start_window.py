@@ -358,6 +358,7 @@ class StartWindow(QMainWindow):
                 item = QListWidgetItem(f"{path.name}   {state}   {path.parent}")
                 item.setData(Qt.ItemDataRole.UserRole, str(path))
                 self.recent.addItem(item)
+        self._again.setVisible(self.recent.count() > 0)
 
     def _lay_out(self) -> None:
         form = QWidget()
@@ -380,7 +381,7 @@ class StartWindow(QMainWindow):
         area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         area.setMinimumWidth(FORM_PX)
         right = QSplitter(Qt.Orientation.Vertical)
-        recent = QGroupBox("Open again")
+        self._again = recent = QGroupBox("Open again")
         QVBoxLayout(recent).addWidget(self.recent)
         right.addWidget(self.map)
         right.addWidget(recent)
