@@ -73,6 +73,7 @@ def nothing_cut_off(page: Any) -> None:
     )
     # The path of the list may be longer than any field.
     assert set(cut) <= {"list"}, cut
+    assert page.locator("#form select").bounding_box()["width"] > 100, "the kind of a machine cannot be read"
     assert page.locator("h1").bounding_box()["height"] < 40, "the heading is broken"
 
 
