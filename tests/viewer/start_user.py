@@ -66,6 +66,8 @@ def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> d
     user.drop(photos)
     until(lambda: window.command, "nothing was said of the photographs", PATIENCE_S)
     assert window.map.canvas.scale_bar.isVisible()
+    QTest.qWait(500)
+    assert "12 photographs" in window.source.text.text(), window.source.text.text()
     usual = {"title": window.found_source["title"], "command": window.command, "forecast": window.forecast.text()}
     places = len(window.map.canvas.actors.get("Places", ()))
     window.quality.button(2).click()
@@ -73,6 +75,7 @@ def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> d
     fine = window.command
     window.machines.kind.setCurrentText("Machines listed here")
     until(lambda: "--system" in window.command, "the list made no system file", PATIENCE_S)
+    assert not window.machines.table.horizontalScrollBar().isVisible(), "a column of the machines is cut off"
     listed, listed_file = window.command, Path(window.command[window.command.index("--system") + 1])
     was_there = listed_file.exists()
     user.click(window.copy, "Copy")

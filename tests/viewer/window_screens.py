@@ -62,7 +62,10 @@ def picture_inspector(window: InspectorWindow, out: Path) -> None:
 
 def _rest(window: InspectorWindow) -> None:
     QTest.qWait(REST_MS)
-    until(lambda: window.model is None or window.model.shown_is_full, "the model was never drawn in full")
+    model = window.model
+    assert model is not None
+    until(lambda: model.shown_is_full and model._map_drawn == model._map_key(), "the model was never drawn in full")
+    QTest.qWait(REST_MS)
 
 
 def _save(window: StartWindow | InspectorWindow, out: Path, name: str, theme: str) -> None:
