@@ -264,6 +264,10 @@ def test_a_run_says_how_many_of_its_stages_are_finished(tmp_path: Path) -> None:
     from radiant_viewer.runs.progress_summary import progress_summary
 
     assert "2 of 3 stages finished" in progress_summary(seen)
+    with EventFile(tmp_path, Told().display) as tell:
+        for event in (*events, StageDone(stage="cloud", seconds=1.0), StageStarted(stage="report"), StageDone(stage="report", seconds=1.0)):
+            tell(event)
+    assert "4 of 4 stages finished" in progress_summary(read_progress(tmp_path)), "as many as there are rows"
 
 
 def test_libraries_write_to_a_file_and_python_is_heard(tmp_path: Path) -> None:

@@ -63,8 +63,13 @@ def _seen(window: type, but: object = None) -> Any:
 def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> dict[str, Any]:
     """What is said of photographs, of a flight, of machines and qualities, and of nothing."""
     user = Newcomer(window)
+    assert window.map.canvas.scale_bar.isHidden(), "a map of nothing has a scale"
+    assert not window.recent.count() and not window.recent.isVisible(), "an empty list is in the way"
     user.drop(photos)
     until(lambda: window.command, "nothing was said of the photographs", PATIENCE_S)
+    assert window.map.canvas.scale_bar.isVisible()
+    QTest.qWait(500)
+    assert "12 photographs" in window.source.text.text(), window.source.text.text()
     usual = {"title": window.found_source["title"], "command": window.command, "forecast": window.forecast.text()}
     places = len(window.map.canvas.actors.get("Places", ()))
     window.quality.button(2).click()
@@ -72,6 +77,7 @@ def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> d
     fine = window.command
     window.machines.kind.setCurrentText("Machines listed here")
     until(lambda: "--system" in window.command, "the list made no system file", PATIENCE_S)
+    assert not window.machines.table.horizontalScrollBar().isVisible(), "a column of the machines is cut off"
     listed, listed_file = window.command, Path(window.command[window.command.index("--system") + 1])
     was_there = listed_file.exists()
     user.click(window.copy, "Copy")

@@ -120,7 +120,7 @@ def test_a_view_that_moves_shows_few_points_and_all_when_it_rests() -> None:
     points = rng.uniform(-50, 50, (120_000, 3))
     layer = Layer(name="cloud", points=points, point_colors=np.full((120_000, 3), 90, np.uint8))
     assert is_thinned(layer)
-    assert moving_note(layer) == "at most 50,000 of 120,000 while the view moves"
+    assert moving_note(layer) == "at most 50,000 while the view moves"
     waiting: list[tuple[float, Callable[[], None]]] = []
     with egl_rendering():
         plotter = pv.Plotter(off_screen=True, window_size=[160, 120])

@@ -7,17 +7,19 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from radiant_core.geometry.cleaning_file import cleaning_path
 from radiant_viewer.open3d_window.content import load_content
 from radiant_viewer.runs.run_layers import hidden_at_first, run_layers
-from radiant_viewer.runs.run_pictures import screenshot
+from radiant_viewer.runs.run_pictures import screenshot, splats_picture
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.runs.sent_pages import older_pages
 from radiant_viewer.runs.shown_model import SURROUNDINGS, framed_box, seen_of, shown_of_run
 from radiant_viewer.share.folder import page_of_run
+from radiant_viewer.web.start_server import PICTURE_WH, model_jpeg
 from tests.viewer.hazy_town import NUM_HAZE, haze_share, hazy
 from tests.viewer.made_up_run import made_up_town, save_run
 from tests.viewer.town_share import shares
@@ -109,6 +111,16 @@ def test_the_first_picture_is_the_town_and_none_of_it_is_smear(tmp_path: Path) -
     (_, smeared_before), (covered, smeared) = (shares(view, splats) for splats in (view.splats, shown_of_run(view).splats))
     assert smeared_before > 0.5, "the test has no haze"
     assert covered >= 0.95 and smeared == 0
+
+
+def test_the_page_on_which_runs_are_begun_shows_what_the_report_does(run: Path) -> None:
+    view = load_run_view(run)
+    assert view.splats is not None
+    expected = splats_picture(view.scene, view.cloud_plan, view.splats, PICTURE_WH).astype(int)
+    decoded = cv2.imdecode(np.frombuffer(model_jpeg(run), np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None and expected.std() > 10
+    # JPEG changes a level or two.
+    assert np.abs(decoded[:, :, ::-1] - expected).mean() < 3
 
 
 def test_the_haze_is_a_decision_with_its_share_and_nothing_is_lost(run: Path) -> None:

@@ -66,6 +66,17 @@ def without_overflow(page: Any) -> None:
     assert not wide, f"the page is wider than the screen: {wide}"
 
 
+def nothing_cut_off(page: Any) -> None:
+    """No field of the list of machines, and no word of the heading, at this width."""
+    cut = page.evaluate(
+        "[...document.querySelectorAll('#form, #form input')].filter(part => part.scrollWidth > part.clientWidth).map(part => part.id)"
+    )
+    # The path of the list may be longer than any field.
+    assert set(cut) <= {"list"}, cut
+    assert page.locator("#form select").bounding_box()["width"] > 100, "the kind of a machine cannot be read"
+    assert page.locator("h1").bounding_box()["height"] < 40, "the heading is broken"
+
+
 def test_a_run_is_chosen_begun_stopped_resumed_and_opened(browser: Any, address: str, photographs: Path) -> None:
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     page.set_default_timeout(1000 * DEADLINE_S)
@@ -87,6 +98,10 @@ def test_a_run_is_chosen_begun_stopped_resumed_and_opened(browser: Any, address:
     text_once(page, "#line", "--system")
     listed = Path(page.locator("#list").input_value())
     assert not listed.exists()
+    for width in (390, 1920, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        nothing_cut_off(page)
+    assert page.locator("#message").is_hidden(), "an empty line is in the way"
     page.locator("#form input[aria-label='Number']").fill("many")
     page.locator("#form input[aria-label='Number']").blur()
     assert "count" in text_once(page, "#refused", "count")
@@ -110,6 +125,10 @@ def test_a_run_is_chosen_begun_stopped_resumed_and_opened(browser: Any, address:
     page.locator("#message", has_text="Finished: ").wait_for()
     if folder := os.environ.get("RADIANT_PAGE_PICTURES"):
         page.screenshot(path=str(Path(folder) / "web_start.jpg"), type="jpeg", quality=70)
+    page.locator("#path").fill(str(out))
+    page.locator("#look").click()
+    text_once(page, "#found", "A finished run")
+    assert page.locator("#machines").is_hidden() and page.locator("#out").is_hidden() and page.locator("#map").is_hidden()
     page.set_viewport_size({"width": 390, "height": 844})
     without_overflow(page)
     page.locator("#open").click()

@@ -16,11 +16,15 @@ from radiant_viewer.layers.layer import LegendEntry
 from radiant_viewer.layers.palette import VERMILLION
 from radiant_viewer.pictures.page import _add_entry
 from radiant_viewer.runs.places import camera_heights, natural_key, place_text
-from radiant_viewer.runs.words import LAYER_TERMS, MEANINGS, tip
+from radiant_viewer.runs.words import LAYER_TERMS, MEANINGS, counted, tip
 from tests.core.scenes import cameras_above
 
 GLOSSARY = Path(__file__).parents[2] / "docs/glossary.md"
 METRIC = Frame(kind="metric", origin_lat_lon_alt=np.array([47.37, 8.54, 400.0]))
+
+
+def test_one_is_no_plural() -> None:
+    assert [counted(count, "region") for count in (0, 1, 1200)] == ["0 regions", "1 region", "1,200 regions"]
 
 
 def glossary() -> dict[str, str]:

@@ -66,8 +66,8 @@ def find_worst_photograph(user: User, out: Path) -> dict[str, Any]:
     eye = window.view.pose.camera((640, 480)).cam_from_world[0]
     return {
         "name": dock.name.text(),
-        "figures": dock.figures_text.text(),
-        "why": dock.reasons_text.text(),
+        "figures": dock.figures_text.text().replace("\u00a0", " "),
+        "why": dock.reasons_text.text().replace("\u00a0", " "),
         "level": level,
         "cam_from_world": eye.tolist(),
     }

@@ -39,12 +39,12 @@ ADDRESS = re.compile(r"http://127\.0\.0\.1:\d+/\?secret=\S{32}")
 
 
 @contextmanager
-def virtual_display(size: str) -> Iterator[str]:
-    """A display of its own, "width x height x depth" large; skips where there is no Xvfb."""
+def virtual_display(size: str, *options: str) -> Iterator[str]:
+    """A display of its own, "width x height x depth" large; skips where there is no Xvfb. options: of Xvfb."""
     if shutil.which("Xvfb") is None:
         pytest.skip("Xvfb is not installed: apt-get install xvfb")
     read_end, write_end = os.pipe()
-    command = ["Xvfb", "-displayfd", str(write_end), "-screen", "0", size, "-nolisten", "tcp"]
+    command = ["Xvfb", "-displayfd", str(write_end), "-screen", "0", size, "-nolisten", "tcp", *options]
     server = subprocess.Popen(command, pass_fds=[write_end], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     os.close(write_end)
     with os.fdopen(read_end) as pipe:

@@ -108,7 +108,7 @@ def comparison(window):
     window.raise_dock(dock)
     dock.show_worst()
     QTest.qWait(50)
-    assert dock.name.text() == "DJI_0000.JPG" and "PSNR 20.00 dB" in dock.figures_text.text()
+    assert dock.name.text() == "DJI_0000.JPG" and "PSNR\u00a020.00\u00a0dB" in dock.figures_text.text()
 
     def mean_level():
         picture = dock.picture.grab().toImage()

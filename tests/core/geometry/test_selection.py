@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import open3d as o3d
 import pytest
 from matplotlib.path import Path as Outline
 
@@ -16,6 +17,7 @@ from radiant_core.geometry.cleaning import Cleaning, SelectionStep, clean, descr
 from radiant_core.geometry.cleaning_file import cleaning_path, load_cleaning, save_cleaning
 from radiant_core.geometry.selection import Front, Stroke, chosen_by
 from tests.core.geometry.test_cleaning import splats_of
+from tests.seeds import for_seeds
 
 POSE = (0.6, -0.8, 0.0, 1.0, 0.8, 0.6, 0.0, -2.0, 0.0, 0.0, 1.0, 25.0)
 """A turn about the axis of the view, and 25 m back."""
@@ -43,6 +45,30 @@ def test_a_lasso_and_a_brush_choose_what_a_plain_loop_does() -> None:
     brush = Stroke(cam_from_world=POSE, path=tuple(map(tuple, path)), radius=0.1).chosen(means)
     # Its round ends are polygons of 64 sides: up to 0.12 % within the circle.
     assert (brush <= (ahead & (away <= 0.1))).all() and (brush >= (ahead & (away <= 0.0995))).all() and brush.sum() > 50
+
+
+def hand_drawn(rng: np.random.Generator) -> np.ndarray:
+    """A line (40,2) around the middle of the view, or an eight that crosses itself there."""
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False) + rng.uniform(0, 0.1, 40)
+    radius = rng.uniform(0.2, 0.5, 40)[:, None]
+    is_eight = rng.random() < 0.5
+    return 0.4 * np.column_stack([np.cos(turn), np.sin(2 * turn)]) if is_eight else radius * np.column_stack([np.cos(turn), np.sin(turn)])
+
+
+@for_seeds(8)
+def test_a_lasso_chooses_what_open3ds_volume_over_the_same_polygon_does(seed: int) -> None:
+    means, path = splats_of(4000, seed=seed).means, hand_drawn(np.random.default_rng(seed))
+    seen = eye_of(means)
+    ahead = np.flatnonzero(seen[:, 2] > 0)
+    volume = o3d.visualization.SelectionPolygonVolume()
+    volume.orthogonal_axis, volume.axis_min, volume.axis_max = "Z", 0.0, float(seen[:, 2].max())
+    volume.bounding_polygon = o3d.utility.Vector3dVector(np.column_stack([path, np.zeros(len(path))]))
+    # It has parallel rays alone: the view's perspective is divided out before.
+    flat = np.column_stack([seen[ahead, :2] / seen[ahead, 2:], seen[ahead, 2]])
+    inside = volume.crop_in_polygon(o3d.geometry.PointCloud(o3d.utility.Vector3dVector(flat)))
+    chosen = np.flatnonzero(Stroke(cam_from_world=POSE, path=tuple(map(tuple, path))).chosen(means))
+    np.testing.assert_array_equal(chosen, ahead[np.sort(np.asarray(inside, int))])
+    assert len(chosen) > 50
 
 
 def test_a_front_keeps_what_lies_behind_it() -> None:

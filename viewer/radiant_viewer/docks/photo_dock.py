@@ -27,6 +27,8 @@ SINGLES = ("Photograph", "Render", "Difference", "Canonical")
 NO_FIGURES = "No photograph has figures yet: finish the run, or evaluate it."
 STEPS = 1000
 ZOOM_PX = 46
+SEPARATOR, WHOLE = "   ·   ", 40
+"""Parts of a line of figures, up to this many characters, are not broken: a figure stays beside its name."""
 
 
 class PhotoDock(QDockWidget):
@@ -106,8 +108,8 @@ class PhotoDock(QDockWidget):
         self.picture.message = message
         self._set_enabled(len(self._pictures) > 1)
         self._show()
-        self.figures_text.setText(self._text(name))
-        self.reasons_text.setText(self._reasons(index, apart if self._pictures else ""))
+        self.figures_text.setText(_unbroken(self._text(name)))
+        self.reasons_text.setText(_unbroken(self._reasons(index, apart if self._pictures else "")))
 
     def show_worst(self) -> None:
         """Select the held-out photograph with the lowest PSNR and show why it is the worst."""
@@ -169,7 +171,7 @@ class PhotoDock(QDockWidget):
         ]
         if name in self.worst_first:
             parts.insert(0, f"{_rank_text(self.worst_first.index(name) + 1)} of {len(self.worst_first)}")
-        return "   ·   ".join(parts) or "Trained on: figures are measured on held-out photographs."
+        return SEPARATOR.join(parts) or "Trained on: figures are measured on held-out photographs."
 
     def _set_enabled(self, compares: bool) -> None:
         self.mode.setEnabled(compares)
@@ -193,6 +195,11 @@ class PhotoDock(QDockWidget):
         layout.addWidget(self.reasons_text)
         self.setWidget(body)
         self.figures_text.setToolTip("\n".join(f"{figure.heading}: {figure.meaning}" for figure in FIGURES))
+
+
+def _unbroken(text: str) -> str:
+    """A line whose short parts stay whole where it is wrapped."""
+    return SEPARATOR.join(part.replace(" ", "\u00a0") if len(part) <= WHOLE else part for part in text.split(SEPARATOR))
 
 
 def _rank_text(rank: int) -> str:

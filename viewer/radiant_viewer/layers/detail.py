@@ -132,4 +132,4 @@ def moving_note(layer: Layer) -> str | None:
     """Return the legend's note on a thinned layer; None for others."""
     if not is_thinned(layer):
         return None
-    return f"at most {MOVING_POINTS:,} of {len(layer.points):,} while the view moves"
+    return f"at most {MOVING_POINTS:,} while the view moves"

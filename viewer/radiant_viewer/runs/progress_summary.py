@@ -5,6 +5,8 @@ from __future__ import annotations
 from radiant_viewer.layers.region_layer import duration_text
 from radiant_viewer.runs.run_feeds import RunProgress
 
+REPORT = "report"
+
 
 def progress_summary(progress: RunProgress) -> str:
     """State, phase or stages, time left and the number of warnings."""
@@ -13,7 +15,9 @@ def progress_summary(progress: RunProgress) -> str:
     finished_stages = {stage.stage for stage in progress.stages if stage.state in ("done", "skipped")}
     finished = f"{len(finished_stages)} of {len(progress.stages)} stages that began are finished"
     if progress.expected:
-        finished = f"{len(finished_stages & set(progress.expected))} of {len(progress.expected)} stages finished"
+        # The report is written after all that a run expects of its nodes, and is a row like the others.
+        expected = {*progress.expected, *({REPORT} & {stage.stage for stage in progress.stages})}
+        finished = f"{len(finished_stages & expected)} of {len(expected)} stages finished"
     parts = [f"Run {progress.status or 'unknown'}", finished]
     whole = progress.whole
     if progress.is_running and whole is not None:

@@ -37,6 +37,11 @@ LAYER_TERMS = {
 """Layer → the terms that its hover explains."""
 
 
+def counted(count: int, noun: str) -> str:
+    """Return "1 region", "2 regions", "1,000 regions"."""
+    return f"{count:,} {noun}{'s' * (count != 1)}"
+
+
 def tip(*terms: str) -> str:
     """Return a hover for terms: a line for each with what it means."""
     return "\n".join(f"{term}: {MEANINGS[term]}" for term in terms)

@@ -19,6 +19,7 @@ NOTHING = (
     "Or a file: a film, waypoints of a flight (CSV, GeoJSON, KML), a model."
 )
 FILES = "Films, waypoints, models, plans (*)"
+HERE = "Places of photographs are shown here"
 NO_PLACES = "Nothing says yet where the photographs were taken: the run places them."
 
 
@@ -93,13 +94,16 @@ class PlacesMap(QWidget):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(self.canvas.frame)
+        self._show_scale(is_shown=False)
+        self.canvas.note.setText(HERE)
 
     def show_places(self, places: np.ndarray, places_are: str, unit: str) -> None:
         """Show places (P,2) and fit them; nothing for none of them."""
         self._places = np.column_stack([places, np.zeros(len(places))]) if len(places) else np.zeros((0, 3))
         if not len(places):
             self.canvas.remove("Places")
-            self.canvas.note.setText(NO_PLACES if places_are else "")
+            self.canvas.note.setText(NO_PLACES if places_are else HERE)
+            self._show_scale(is_shown=False)
             self.canvas.plotter.update()
             return
         spread = f"{np.ptp(places[:, 0]):,.0f} × {np.ptp(places[:, 1]):,.0f} {unit}"
@@ -113,6 +117,7 @@ class PlacesMap(QWidget):
             legend=(LegendEntry(text=places_are, color=rgb(np.array(BLUE)), marker="dot"),),
         )
         self.canvas.draw(layer, 0)
+        self._show_scale(is_shown=True)
         self.fit()
 
     def fit(self) -> None:
@@ -120,6 +125,10 @@ class PlacesMap(QWidget):
         if len(self._places):
             self.canvas.fit(self._places)
             self.canvas.plotter.update()
+
+    def _show_scale(self, *, is_shown: bool) -> None:
+        """A map of nothing has no scale."""
+        self.canvas.scale_bar.setVisible(is_shown)
 
     def close_view(self) -> None:
         """Close the view before Qt destroys its window under VTK."""

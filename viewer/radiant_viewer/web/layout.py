@@ -224,7 +224,7 @@ def _seam_tour() -> None:
             )
         with v3.VTable(density="compact", fixed_header=True, height="calc(var(--rad-lower) - 76px)", classes="rad-table"):
             with html.Thead(), html.Tr():
-                for text in ("Border", "Colour step (levels of 255)", "Texture beside it", "Worst piece", "Observed", "Verdict"):
+                for text in ("Border", "Step (of 255)", "Texture", "Worst piece", "Observed", "Verdict"):
                     html.Th(text)
             with (
                 html.Tbody(),

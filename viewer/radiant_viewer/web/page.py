@@ -26,6 +26,7 @@ from radiant_viewer.runs.run_layers import color_step_layer, ground_height, hidd
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.runs.seam_tour import SeamStop, seam_stops
 from radiant_viewer.runs.shown_model import SURROUNDINGS, framed_positions
+from radiant_viewer.runs.words import counted
 from radiant_viewer.share.scene_page import PagePlace
 from radiant_viewer.web.browser_splats import BrowserSplats
 from radiant_viewer.web.first_picture import add_first_picture, first_picture
@@ -267,10 +268,10 @@ class WebPage:
 
 def _subtitle(run: RunView) -> str:
     parts = [
-        f"{len(run.scene.cameras):,} cameras",
-        f"{len(run.cloud_plan.edge_ids)} regions",
-        f"{len(run.roles.device_ids)} devices",
-        *([f"{len(run.splats):,} Gaussians"] if run.splats is not None else []),
+        counted(len(run.scene.cameras), "camera"),
+        counted(len(run.cloud_plan.edge_ids), "region"),
+        counted(len(run.roles.device_ids), "device"),
+        *([counted(len(run.splats), "Gaussian")] if run.splats is not None else []),
         *([f"held-out PSNR {np.mean(list(run.psnr_db.values())):.2f} dB"] if run.psnr_db else []),
     ]
     return " · ".join(parts)

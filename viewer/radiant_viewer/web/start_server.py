@@ -111,7 +111,7 @@ class _StartPage:
         with self._drawing:
             stamps = (run, file_stamps(run))
             if self._picture is None or self._picture[0] != stamps:
-                self._picture = (stamps, _model_jpeg(run))
+                self._picture = (stamps, model_jpeg(run))
             return self._picture[1]
 
     def _open(self, path: str) -> dict[str, Any]:
@@ -120,17 +120,18 @@ class _StartPage:
         return {"opened": path}
 
 
-def _model_jpeg(run: Path) -> bytes:
-    from radiant_viewer.runs.run_pictures import model_picture
+def model_jpeg(run: Path) -> bytes:
+    """The model of a run so far as the report shows it, without what lies around the scene; empty where there is none yet."""
+    from radiant_viewer.runs.run_pictures import splats_picture
 
     try:
-        splats = load_run_view(run, growing=True).splats
+        view = load_run_view(run, growing=True)
     except RadiantError:
         # The run may be in the middle of writing.
         return b""
-    if splats is None or not len(splats):
+    if view.splats is None or not len(view.splats):
         return b""
-    image = cv2.cvtColor(model_picture(splats, PICTURE_WH), cv2.COLOR_RGB2BGR)
+    image = cv2.cvtColor(splats_picture(view.scene, view.cloud_plan, view.splats, PICTURE_WH), cv2.COLOR_RGB2BGR)
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 

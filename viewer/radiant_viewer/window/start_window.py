@@ -52,7 +52,7 @@ from radiant_viewer.start.start_feeds import StartFeeds
 from radiant_viewer.window.qt_palette import qt_palette
 from radiant_viewer.window.window_size import fit_to_screen
 
-FORM_PX, PROGRESS_PX, RECENT_PX, LINE_PX = 480, 230, 150, 58
+FORM_PX, PROGRESS_PX, RECENT_PX, LINE_PX = 540, 230, 150, 76
 POLL_MS = 300
 
 
@@ -245,7 +245,8 @@ class StartWindow(QMainWindow):
         self._ask_forecast()
 
     def _on_said(self, words: str) -> None:
-        if words.startswith("reading"):
+        # What was said while it was looked at may come after the answer.
+        if words.startswith("reading") and "look" in self._pending.values():
             self.source.text.setText(f"{self.source.path}: {words} …")
 
     def _look(self, path: Path) -> None:
@@ -358,6 +359,7 @@ class StartWindow(QMainWindow):
                 item = QListWidgetItem(f"{path.name}   {state}   {path.parent}")
                 item.setData(Qt.ItemDataRole.UserRole, str(path))
                 self.recent.addItem(item)
+        self._again.setVisible(self.recent.count() > 0)
 
     def _lay_out(self) -> None:
         form = QWidget()
@@ -380,7 +382,7 @@ class StartWindow(QMainWindow):
         area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         area.setMinimumWidth(FORM_PX)
         right = QSplitter(Qt.Orientation.Vertical)
-        recent = QGroupBox("Open again")
+        self._again = recent = QGroupBox("Open again")
         QVBoxLayout(recent).addWidget(self.recent)
         right.addWidget(self.map)
         right.addWidget(recent)

@@ -25,6 +25,7 @@ from radiant_viewer.runs.plan_view import load_plan_view
 from radiant_viewer.runs.run_layers import ground_height, layer_of_known, run_layers
 from radiant_viewer.runs.run_view import FileStamps, RunView, file_stamps, load_run_view
 from radiant_viewer.runs.shown_model import framed_box, framed_positions
+from radiant_viewer.runs.words import counted
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,7 +104,7 @@ def run_subject(run: RunView) -> Subject:
     model = "no model yet" if run.splats is None else f"{len(run.splats):,} Gaussians"
     if run.is_growing:
         model += " so far: the run is at work"
-    dealt = f"{len(roles.edge_ids)} regions, {len(roles.device_ids)} devices"
+    dealt = f"{counted(len(roles.edge_ids), 'region')}, {counted(len(roles.device_ids), 'device')}"
     if run.kind != "run":
         dealt = f"{len(run.scene.points):,} points"
     ground, below = _below(run)
@@ -118,7 +119,7 @@ def run_subject(run: RunView) -> Subject:
         # Without a model there is nothing around it, and the layers are all there is to frame.
         box=None if run.splats is None else framed_box(run.scene, run.cloud_plan),
         framed=None if run.splats is None else framed_positions(run.scene, run.cloud_plan),
-        summary=f"{len(run.scene.cameras)} cameras, {dealt}, {model}{below}{layer_of_known(run)[1]}",
+        summary=f"{counted(len(run.scene.cameras), 'camera')}, {dealt}, {model}{below}{layer_of_known(run)[1]}",
     )
 
 

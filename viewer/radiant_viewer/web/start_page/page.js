@@ -49,6 +49,9 @@ function showState() {
   at("line").textContent = line ? `radiant ${line.map(shellWord).join(" ")}` : "";
   if (!step) at("forecast").textContent = words ? words.nothing : "";
   if (step === "open") at("forecast").textContent = "";
+  // What is only looked at has no machines and no result, and a run's places are in its own page.
+  document.querySelectorAll("[data-makes]").forEach((part) => { part.hidden = step === "open"; });
+  show("where", step !== "open" || places.length > 0);
 }
 
 async function forecast() {
@@ -81,7 +84,7 @@ async function look(path) {
     const found = await ask("look", path);
     if (mine !== wish) return;
     source = found;
-    at("found").textContent = `${found.title}.`;
+    at("found").textContent = `${found.title[0].toUpperCase()}${found.title.slice(1)}.`;
     at("notes").textContent = found.notes.join("\n");
     show("notes", found.notes.length > 0);
     at("out").value = found.out;
@@ -89,6 +92,7 @@ async function look(path) {
     places = found.places;
     at("places").textContent = places.length ? `${places.length.toLocaleString("en")} places by the ${found.places_are}, ${spread(found.unit)}; north is up`
       : "Nothing says yet where the photographs were taken: the run places them.";
+    show("where", true);
     drawMap();
     if (found.next === "open") await ask("watch", path).then(poll, () => {});
     await forecast();
@@ -119,6 +123,7 @@ function addMachine() {
   const row = element("tr", "", at("form").querySelector("tbody")), number = row.parentElement.children.length;
   words.columns.forEach((column, place) => {
     const cell = element("td", "", row);
+    cell.dataset.label = column;
     if (place === words.kind) {
       const box = element("select", "", cell);
       element("option", words.no_kind, box).value = "";
