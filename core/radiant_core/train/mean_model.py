@@ -1,10 +1,10 @@
 """The mean of the last steps' models in place of the last one (Polyak & Juditsky 1992).
 
-    x̄ = x₁ + 1/n Σ (xₜ − x₁)     over the n steps from `TrainConfig.average_from` on
+    x̄ₙ = x̄ₙ₋₁ + (xₙ − x̄ₙ₋₁) / n     over the steps from `TrainConfig.average_from` on
 
 A step follows one photograph, so that the last model leans to the last ones. Their mean needs no
-small rates to be steady: centres may move ten times as far at the end. Differences from the first,
-so that what stands still keeps its bits. Once per step of the last ones.
+small rates to be steady: centres may move ten times as far at the end. What stands still keeps its
+bits. Once per step of the last ones.
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ class MeanModel(Part):
     def __init__(self, start: float) -> None:
         """`start`: that share."""
         self._start = start
-        self._first: dict[str, Tensor] = {}
-        self._sums: dict[str, Tensor] = {}
+        self._means: dict[str, Tensor] = {}
         self.num_steps = 0
 
     @torch.no_grad()
@@ -41,25 +40,24 @@ class MeanModel(Part):
         if progress < self._start:
             return
         tensors = splats.tensors()
-        if self.num_steps == 0 or any(self._first[name].shape != tensor.shape for name, tensor in tensors.items()):
-            self._first = {name: tensor.detach().clone() for name, tensor in tensors.items()}
-            self._sums = {name: torch.zeros_like(tensor) for name, tensor in self._first.items()}
-            self.num_steps = 0
+        if self.num_steps == 0 or self._means["means"].shape != tensors["means"].shape:
+            self._means, self.num_steps = {name: tensor.detach().clone() for name, tensor in tensors.items()}, 1
+            return
         self.num_steps += 1
         for name, tensor in tensors.items():
-            self._sums[name] += tensor.detach() - self._first[name]
+            # Not in place: a checkpoint may hold the mean before.
+            self._means[name] = self._means[name] + (tensor.detach() - self._means[name]) / self.num_steps
 
     @torch.no_grad()
     def last(self, splats: SplatTensors) -> SplatTensors:
         """The mean of what was counted; the model itself where nothing was."""
-        if self.num_steps == 0 or self._first["means"].shape != splats.means.shape:
+        if self.num_steps == 0 or self._means["means"].shape != splats.means.shape:
             return splats
-        return replace(splats, **{name: self._first[name] + self._sums[name] / self.num_steps for name in TENSORS})
+        return replace(splats, **{name: tensor.clone() for name, tensor in self._means.items()})
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Copies of the first model and of the sums; empty before it."""
-        parts = {"first": self._first, "sums": self._sums}
-        return {f"{part}.{name}": tensor.cpu().numpy().copy() for part, tensors in parts.items() for name, tensor in tensors.items()}
+        """The mean so far, which later steps leave alone; empty before the first."""
+        return {name: tensor.cpu().numpy() for name, tensor in self._means.items()}
 
     def state_numbers(self) -> int:
         """How many steps were counted."""
@@ -67,8 +65,6 @@ class MeanModel(Part):
 
     def restore(self, arrays: dict[str, NDArray[Any]], numbers: Any, splats: SplatTensors) -> None:
         """Go on from both."""
-        self.num_steps, device = int(numbers), splats.means.device
+        self.num_steps = int(numbers)
         names = TENSORS if self.num_steps else ()
-        self._first, self._sums = (
-            {name: torch.from_numpy(np.array(arrays[f"{part}.{name}"])).to(device) for name in names} for part in ("first", "sums")
-        )
+        self._means = {name: torch.from_numpy(np.array(arrays[name])).to(splats.means.device) for name in names}

@@ -7,8 +7,9 @@ base: what the process holds before, and BASE_BYTES of the first step; p_v pixel
 bytes, and again at the share s of its side that training begins with; m: 1 where photographs have
 masks, a byte a pixel, else 0; kept: the loss' statistics, 36 bytes a pixel where there is room;
 100: a step on the largest view. N Gaussians of K bases have 11 + 3 K float32 each, C times:
-parameters, gradients, two moments, copies of an edit or a checkpoint; 600 bytes are the
-rasterizer's and an edit's. Set so that tests/stress/test_train_memory.py holds on the sample town
+parameters, gradients, two moments, copies of an edit or a checkpoint; the mean of the last steps
+takes more where no Gaussian went before it. 600 bytes are the rasterizer's and an edit's. Set so
+that tests/stress/test_train_memory.py holds on the sample town
 with planned growth: allowed 0.6, 1 and 2 GB, it peaked at 0.62, 1.00 and 2.14 GB.
 """
 
@@ -23,10 +24,10 @@ from radiant_core.errors import BadInput
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
-from radiant_core.train.needs import MIN_PLANNED, fit_dropping, pixels_per_splat
+from radiant_core.train.needs import MIN_PLANNED, fit_dropping, fit_thinning, pixels_per_splat
 
 BASE_BYTES = 95_000_000
-COPIES = 7.0
+COPIES, COPIES_OF_MEAN = 7.0, 1.5
 RASTERIZER_BYTES_PER_SPLAT = 600
 IMAGE_BYTES_PER_PX, MASK_BYTES_PER_PX, STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 3, 1, 36, 100
 MAX_STATISTICS_SHARE = 0.25
@@ -51,9 +52,16 @@ class MemoryPlan:
     """The prediction of the model above for the two."""
 
 
-def bytes_per_splat(sh_degree: int, *, validated: bool = False) -> float:
-    """Bytes of one Gaussian in training; `validated`: the best model so far is kept beside it."""
-    return (COPIES + validated) * 4 * (11 + 3 * SH_BASES[sh_degree]) + RASTERIZER_BYTES_PER_SPLAT
+def bytes_per_splat(sh_degree: int, *, validated: bool = False, averaged: bool = False) -> float:
+    """Bytes of one Gaussian in training; `validated`: the best model so far is kept beside it;
+    `averaged`: and the mean of models as large as any."""
+    return (COPIES + validated + COPIES_OF_MEAN * averaged) * 4 * (11 + 3 * SH_BASES[sh_degree]) + RASTERIZER_BYTES_PER_SPLAT
+
+
+def _is_averaged_whole(config: TrainConfig, num_photographs: int) -> bool:
+    """Whether the models that are averaged have as many Gaussians as growth reached."""
+    thinned = getattr(fit_thinning(config, num_photographs)[0].density, "thin_to", 1.0)
+    return config.average_from < 1 and thinned >= 1
 
 
 def fixed_bytes(config: TrainConfig, cameras: Cameras, base_bytes: int, *, masked: bool = False) -> int:
@@ -115,7 +123,8 @@ def training_memory(config: TrainConfig, num_photographs: int, pixels_each: floa
     pixels = 0.75 * config.long_side_px**2 if pixels_each is None else pixels_each
     per_splat = pixels_per_splat(fit_dropping(config, num_photographs)[0], num_photographs)
     planned = config.max_num_splats if per_splat is None else max(MIN_PLANNED, int(num_photographs * pixels / per_splat))
-    splats = min(config.max_num_splats, planned) * bytes_per_splat(config.sh_degree)
+    averaged = _is_averaged_whole(config, num_photographs)
+    splats = min(config.max_num_splats, planned) * bytes_per_splat(config.sh_degree, averaged=averaged)
     fixed = _fixed_bytes(config, num_photographs * pixels, pixels, PROCESS_BYTES)
     statistics_bytes = min(STATISTICS_BYTES_PER_PX * num_photographs * pixels, STATISTICS_BUDGET_BYTES)
     needed = fixed + splats / (1 - MAX_STATISTICS_SHARE)
@@ -129,7 +138,8 @@ def memory_plan(
     `cameras`, at their training size; `base_bytes`: held before they are loaded. Raises BadInput
     where fewer than `MIN_SPLATS` fit, with what would do."""
     fixed = fixed_bytes(config, cameras, base_bytes, masked=masked)
-    splat_bytes = bytes_per_splat(config.sh_degree, validated=validated)
+    averaged = _is_averaged_whole(config, len(cameras))
+    splat_bytes = bytes_per_splat(config.sh_degree, validated=validated, averaged=averaged)
     free = memory_bytes - fixed
     wanted = STATISTICS_BYTES_PER_PX * int(cameras.sizes_wh.prod(axis=1).sum())
     statistics = max(0, min(wanted, STATISTICS_BUDGET_BYTES, int(MAX_STATISTICS_SHARE * free)))

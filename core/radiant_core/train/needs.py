@@ -122,7 +122,7 @@ def fit_to_cameras(config: TrainConfig, cameras: Cameras) -> tuple[TrainConfig, 
     config, dropping = fit_dropping(config, len(cameras))
     config, size = _fit_size(config, cameras)
     config, length = _fit_length(config, len(cameras))
-    config, thinning = _fit_thinning(config, len(cameras))
+    config, thinning = fit_thinning(config, len(cameras))
     return config, (*size, *length, *dropping, *thinning)
 
 
@@ -212,7 +212,7 @@ def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple
     return replace(config, num_steps=most), (decision,)
 
 
-def _fit_thinning(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple[Decision, ...]]:
+def fit_thinning(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """Whether Gaussians of which photographs show least go after growth, where that is "auto"."""
     density = config.density
     if not isinstance(density, Adc) or density.thin_to != "auto":
