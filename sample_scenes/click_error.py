@@ -170,7 +170,7 @@ def chosen_by_open3d(splats: Splats, pose: FloatArray, path: FloatArray) -> Any:
 
 def timed(choose: Callable[[], Any]) -> tuple[Any, float]:
     """Its result and the least seconds of some turns."""
-    seconds = []
+    result, seconds = None, []
     for _ in range(TURNS):
         began = time.monotonic()
         result = choose()

@@ -31,7 +31,7 @@ from tests.viewer.web_first_picture import FIRST, FRAME
 from tests.viewer.window_kit import virtual_display
 
 SIZE_WH = (1440, 900)
-TURNS, POLL_S, REST_S, PATIENCE_S = 5, 0.05, 3.0, 180.0
+TURNS, POLL_S, REST_S, PATIENCE_S = 5, 0.05, 3.0, 900.0
 """A screen that has not changed for `REST_S` shows all there is."""
 
 
