@@ -159,7 +159,9 @@ def test_the_worst_photograph_has_its_figures_and_says_where_its_pictures_are(ru
     pytest.importorskip("PySide6", reason="the extra 'desktop' is not installed")
     result = run_python(DOCK, str(run.folder), QT_QPA_PLATFORM="offscreen")
     assert result.returncode == 0, result.stderr[-2000:]
-    first, second, third = result.stdout.strip().splitlines()
+    # A figure stays on the line of its name.
+    assert "PSNR\xa017.50\xa0dB" in result.stdout
+    first, second, third = result.stdout.replace("\xa0", " ").strip().splitlines()
     assert first.startswith(f"out_7.jpg ({WORST}) | worst of 3") and "PSNR 17.50 dB" in first
     assert f"never left device {HERE}" in first and "--single-owner" in first
     assert second.startswith(f"{ELSEWHERE}/held-out-0000 | 2. worst of 3") and f"device {ELSEWHERE}" in second
