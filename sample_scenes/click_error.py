@@ -1,10 +1,12 @@
-"""How far distances between clicked places are from the truth, and what a lasso chooses: by our means and by Open3D's.
+"""How far distances between clicked places are from the truth, and what a lasso chooses: by our
+means and by Open3D's.
 
-    xvfb-run -a -s "-screen 0 1280x1024x24" python sample_scenes/click_error.py RUN [--known FOLDER] [--pairs 20]
+    xvfb-run -a -s "-screen 0 1280x1024x24" python sample_scenes/click_error.py RUN
 
-RUN is of the town. Pixels of its held-out photographs, in pairs, at places that the truth has too and at least 10 m apart:
-at the depth that our renderer draws (a click of the inspector), at the depth that Open3D's scene draws, and at the middle of
-the Gaussian that Open3D's `VisualizerWithVertexSelection` picks within as many pixels as the inspector looks into holes. Of
+RUN is of the town. Pixels of its held-out photographs, in pairs, at places that the truth has too
+and at least 10 m apart: at the depth that our renderer draws (a click of the inspector), at the
+depth that Open3D's scene draws, and at the middle of the Gaussian that Open3D's
+`VisualizerWithVertexSelection` picks within as many pixels as the inspector looks into holes. Of
 lassos the same polygons in the same view, by ours and by `SelectionPolygonVolume`.
 """
 
@@ -137,7 +139,7 @@ def compare_clicks(splats: Splats, truth: Truth, cameras: Cameras, pairs: int) -
 
 
 def compare_lassos(splats: Splats, camera: Cameras) -> None:
-    """Print what both choose by one polygon of a hand that crosses itself, and by one that does not."""
+    """Print what both choose by a hand's polygon that crosses itself, and by one that does not."""
     K, pose = camera.Ks[0], camera.cam_from_world[0]
     turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     round_px = camera.sizes_wh[0] / 2 + 0.2 * camera.sizes_wh[0, 0] * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -154,8 +156,8 @@ def compare_lassos(splats: Splats, camera: Cameras) -> None:
 
 
 def chosen_by_open3d(splats: Splats, pose: FloatArray, path: FloatArray) -> Any:
-    """Which middles (N,) its volume over a polygon (P,2) of the view has; it knows parallel rays alone, so the view's
-    perspective is divided out before."""
+    """Which middles (N,) its volume over a polygon (P,2) of the view has; it knows parallel rays
+    alone, so the view's perspective is divided out before."""
     seen = splats.means.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
     ahead = np.flatnonzero(seen[:, 2] > 0)
     volume = o3d.visualization.SelectionPolygonVolume()

@@ -375,7 +375,8 @@ def _run(fds: list[int]) -> None:
 
 
 def _end(code: int) -> NoReturn:
-    """End as Python does, with libraries left as they are: a fork that takes them apart copies them, 0.3 s of CPU time."""
+    """End as Python does, with libraries left as they are: taking them apart in a fork copies them,
+    0.3 s of CPU time."""
     threading._shutdown()  # pyright: ignore[reportAttributeAccessIssue]
     atexit._run_exitfuncs()
     sys.stdout.flush()
@@ -386,7 +387,8 @@ def _end(code: int) -> NoReturn:
 
 
 def _name(command: Sequence[str]) -> None:
-    """What `ps` and `top` call this process: its command, in the place of its server's and as far as that goes."""
+    """What `ps` and `top` call this process: its command, in the place of its server's and as far as
+    that goes."""
     Path("/proc/self/comm").write_text(" ".join([*command[3:4], "radiant"]))
     # Where its arguments begin and end in memory; see proc(5).
     start, end = map(int, Path("/proc/self/stat").read_text().rpartition(")")[2].split()[45:47])

@@ -297,7 +297,7 @@ def software_versions() -> dict[str, str]:
 
 @cache
 def _version_of(package: str) -> str:
-    """Of an installed package. Read once: six take 9 ms, and a manifest is written after every stage."""
+    """Of an installed package. Read once: six take 9 ms, and every stage writes a manifest."""
     try:
         return version(package)
     except PackageNotFoundError:

@@ -67,6 +67,7 @@ IDEAS: dict[str, tuple[str, ...]] = {
         "radiant_core.survey.height_mesh",
         "radiant_core.survey.sight",
         "radiant_core.train.held",
+        "radiant_core.train.step_costs",
         "radiant_core.train.validation",
     ),
     "one chart": (

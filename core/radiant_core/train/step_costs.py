@@ -39,10 +39,10 @@ class StepCosts:
 
 def _costs(config: TrainConfig, num_first: int, progress: np.ndarray) -> np.ndarray:
     size = np.where(progress < config.full_size_from, config.start_scale, 1.0)
-    return _num_splats(config, num_first, progress) * (1 - PIXELS_SHARE + PIXELS_SHARE * np.square(size))
+    return _splats_at(config, num_first, progress) * (1 - PIXELS_SHARE + PIXELS_SHARE * np.square(size))
 
 
-def _num_splats(config: TrainConfig, num_first: int, progress: np.ndarray) -> np.ndarray:
+def _splats_at(config: TrainConfig, num_first: int, progress: np.ndarray) -> np.ndarray:
     """Gaussians by plan; ones where growth follows none."""
     policy = config.density
     if not (isinstance(policy, Adc) and policy.kind == "planned"):

@@ -28,7 +28,8 @@ NO_FIGURES = "No photograph has figures yet: finish the run, or evaluate it."
 STEPS = 1000
 ZOOM_PX = 46
 SEPARATOR, WHOLE = "   ·   ", 40
-"""Parts of a line of figures, up to this many characters, are not broken: a figure stays beside its name."""
+"""Parts of a line of figures, up to this many characters, are not broken: a figure stays beside its
+name."""
 
 
 class PhotoDock(QDockWidget):

@@ -1,4 +1,5 @@
-"""`Rgbd`: a picture with depths, as renderers draw it and `Backdrop` shows it. Loads no library that draws."""
+"""`Rgbd`: a picture with depths, as renderers draw it and `Backdrop` shows it. It loads no library
+that draws."""
 
 from __future__ import annotations
 

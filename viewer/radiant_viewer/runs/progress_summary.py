@@ -15,7 +15,7 @@ def progress_summary(progress: RunProgress) -> str:
     finished_stages = {stage.stage for stage in progress.stages if stage.state in ("done", "skipped")}
     finished = f"{len(finished_stages)} of {len(progress.stages)} stages that began are finished"
     if progress.expected:
-        # The report is written after all that a run expects of its nodes, and is a row like the others.
+        # The report comes after all that a run expects of its nodes, and is a row as well.
         expected = {*progress.expected, *({REPORT} & {stage.stage for stage in progress.stages})}
         finished = f"{len(finished_stages & expected)} of {len(expected)} stages finished"
     parts = [f"Run {progress.status or 'unknown'}", finished]

@@ -1,4 +1,5 @@
-"""The painter of a name, for the process that draws. Ours loads neither VTK nor Open3D, which take a second."""
+"""The painter of a name, for the process that draws. Ours loads neither VTK nor Open3D, which take
+a second."""
 
 from __future__ import annotations
 

@@ -121,7 +121,8 @@ class _StartPage:
 
 
 def model_jpeg(run: Path) -> bytes:
-    """The model of a run so far as the report shows it, without what lies around the scene; empty where there is none yet."""
+    """The model of a run so far as the report shows it, without what lies around the scene; empty
+    where there is none yet."""
     from radiant_viewer.runs.run_pictures import splats_picture
 
     try:
