@@ -101,7 +101,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "dense points": {"dense_points": "always"},
     "any number of steps": {"max_epochs": None},
     "rates that never settle": {"settle_epochs": None},
-    "the last step alone": without_mean(train_preset("default")),
+    "the last step alone": dict(without_mean(train_preset("default"))),
     "black background": {"background": "black"},
     "random background": {"background": "random"},
     "antialiased": {"antialiased": True},

@@ -387,7 +387,7 @@ def _end(code: int) -> NoReturn:
 
 
 def _name(command: Sequence[str]) -> None:
-    """What `ps` and `top` call this process: its command, in the place of its server's and as far as
+    """What `ps` and `top` call this process: its command, in the place of its server's, as far as
     that goes."""
     Path("/proc/self/comm").write_text(" ".join([*command[3:4], "radiant"]))
     # Where its arguments begin and end in memory; see proc(5).

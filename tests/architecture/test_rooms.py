@@ -68,7 +68,6 @@ IDEAS: dict[str, tuple[str, ...]] = {
         "radiant_core.survey.sight",
         "radiant_core.train.held",
         "radiant_core.train.step_costs",
-        "radiant_core.train.validation",
     ),
     "one chart": (
         "radiant_viewer.charts.change_of_known_chart",

@@ -59,12 +59,12 @@ class MeanModel(Part):
         """The mean so far, which later steps leave alone; empty before the first."""
         return {name: tensor.cpu().numpy() for name, tensor in self._means.items()}
 
-    def state_numbers(self) -> int:
+    def state_numbers(self) -> dict[str, Any]:
         """How many steps were counted."""
-        return self.num_steps
+        return {"num_steps": self.num_steps}
 
     def restore(self, arrays: dict[str, NDArray[Any]], numbers: Any, splats: SplatTensors) -> None:
         """Go on from both."""
-        self.num_steps = int(numbers)
+        self.num_steps = int(numbers["num_steps"])
         names = TENSORS if self.num_steps else ()
         self._means = {name: torch.from_numpy(np.array(arrays[name])).to(splats.means.device) for name in names}

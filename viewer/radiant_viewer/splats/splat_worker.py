@@ -39,7 +39,8 @@ class Parts:
     """Parts of a model, each cut out once, of which the latest few are kept."""
 
     def __init__(self, splats: Splats, painter: Painter) -> None:
-        self._splats, self._painter = splats, painter
+        self._splats = splats
+        self._painter: Painter = painter
         self._renderers: OrderedDict[str, Drawer | None] = OrderedDict()
 
     def renderer(self, box: list[list[float]] | None, max_gaussians: int | None, keep_path: str | None) -> Drawer | None:
