@@ -41,7 +41,7 @@ def start_forked(process: QProcess, program: str, arguments: Sequence[str]) -> N
 
 
 if PROGRAMS in os.environ:
-    QProcess.start = start_forked  # pyright: ignore[reportAttributeAccessIssue]
+    QProcess.start = start_forked
 
 
 class User:
