@@ -125,8 +125,6 @@ def _code_of(module: str, arguments: list[str]) -> int:
         code = import_module(module).main(arguments)
     except SystemExit as ended:
         code = ended.code
-        if isinstance(code, str):
-            sys.stderr.write(f"{code}\n")
     sys.stdout.flush()
     sys.stderr.flush()
     return code if isinstance(code, int) else int(code is not None)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import socket
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from radiant_app.executors import fork_server, local
@@ -40,13 +39,9 @@ class OwnServer(ForkServer):
         self.answer = self._asking.recv(len(READY)) == READY
 
 
-@contextmanager
-def forked_nodes() -> Iterator[None]:
-    """Nodes that this process runs within the block are forks of what it is now."""
-    server = OwnServer()
+def fork_nodes() -> None:
+    """Nodes that this process runs from here on are forks of what it is now."""
+    server, own = OwnServer(), os.getpid()
+    atexit.register(lambda: server.close() if os.getpid() == own else None)
     for name in ("open_server", "start_server"):
         setattr(local, name, lambda names, environment: server)
-    try:
-        yield
-    finally:
-        server.close()

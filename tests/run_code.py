@@ -16,16 +16,9 @@ def main(words: list[str]) -> None:
         warnings.simplefilter("error")
         del words[:2]
     if words[:3] == ["-m", "radiant_app", "run"]:
-        from tests.own_server import forked_nodes
+        from tests.own_server import fork_nodes
 
-        with forked_nodes():
-            run_program(words)
-    else:
-        run_program(words)
-
-
-def run_program(words: list[str]) -> None:
-    """Run what follows the options."""
+        fork_nodes()
     if words[0] == "-m":
         sys.argv = words[1:]
         runpy.run_module(words[1], run_name="__main__", alter_sys=True)
