@@ -17,7 +17,6 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.executors.fork_server import SWITCH
 from tests import forked
 from tests.forked import run_module, start_module
 from tests.forked_workers import client, server_address
@@ -63,13 +62,13 @@ def display() -> Iterator[str]:
 
 
 def programs() -> dict[str, str]:
-    """The variable by which processes of windows find what forks others; none where everything is to start anew."""
-    return {} if os.environ.get(SWITCH) == "0" else {PROGRAMS: str(server_address((*DRAWING, *BEGUN)))}
+    """The variable by which processes of windows find what forks others."""
+    return {PROGRAMS: str(server_address((*DRAWING, *BEGUN)))}
 
 
 def forked_command(*words: str) -> list[str]:
-    """What starts `python WORDS`: a fork, in a process that has that variable."""
-    return client(Path(os.environ[PROGRAMS]), "tests.run_code", *words) if PROGRAMS in os.environ else [sys.executable, *words]
+    """What starts `python WORDS` as a fork, in a process that has that variable."""
+    return client(Path(os.environ[PROGRAMS]), "tests.run_code", *words)
 
 
 def patient(seconds: float) -> float:
@@ -87,8 +86,7 @@ def run_python(
     # A home of its own: windows remember their size there.
     with tempfile.TemporaryDirectory() as home:
         env = {name: value for name, value in os.environ.items() if name not in hidden} | {"XDG_CONFIG_HOME": home} | environment
-        can_fork = os.environ.get(SWITCH) != "0" and all(map(find_spec, ("PySide6", "pyvistaqt", "trame_vuetify")))
-        if can_fork and not anew:
+        if not anew and all(map(find_spec, ("PySide6", "pyvistaqt", "trame_vuetify"))):
             env |= programs()
             return run_module("tests.run_code", *program, cwd=ROOT, timeout_s=patient(patience_s), environment=env, imported=LIBRARIES)
         command = [sys.executable, *program]
