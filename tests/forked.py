@@ -2,7 +2,7 @@
 
 A node of a tiny run takes 2 s of CPU time for imports and 0.3 s for its work. Tests of how a
 process starts call `sys.executable` themselves, and whatever a forked process starts does start
-anew, but for the nodes of `radiant run`.
+anew.
 """
 
 from __future__ import annotations
@@ -78,8 +78,6 @@ def run_module(
 ) -> subprocess.CompletedProcess[str]:
     """What `python -m ARGUMENTS` prints, and its exit code; `imported` are the libraries of the process it is forked from."""
     command = [*map(str, arguments)]
-    if command[:2] == ["radiant_app", "run"] and (Path(cwd or ".") / "tests" / "run_code.py").is_file():
-        command = ["tests.run_code", "-m", *command]
     if (server := server_of(imported, environment)) is None:
         starting = [sys.executable, "-m", *command]
         return subprocess.run(starting, capture_output=True, text=True, cwd=cwd, env=environment, timeout=timeout_s, check=False)

@@ -38,7 +38,7 @@ IMPORTED = (
     "radiant_core.train.photographs",
 )
 ROOT = Path(__file__).parents[1]
-TOLD = ("DISPLAY", "OMP_NUM_THREADS", "RADIANT_", "XDG_")
+TOLD = ("OMP_NUM_THREADS", "RADIANT_")
 """How the variables begin that a worker gets from its client; the others are the server's."""
 CLIENT = f"""
 import json, os, socket, sys
@@ -116,18 +116,8 @@ def serve(address: str, *names: str) -> None:
             if "torch" in sys.modules and "OMP_NUM_THREADS" in told:
                 sys.modules["torch"].set_num_threads(int(told["OMP_NUM_THREADS"]))
             threading.Thread(target=_end_with, args=(client,), daemon=True).start()
-            client.send(str(_code_of(module, arguments)).encode())
+            client.send(str(import_module(module).main(arguments)).encode())
             os._exit(0)
-
-
-def _code_of(module: str, arguments: list[str]) -> int:
-    try:
-        code = import_module(module).main(arguments)
-    except SystemExit as ended:
-        code = ended.code
-    sys.stdout.flush()
-    sys.stderr.flush()
-    return code if isinstance(code, int) else int(code is not None)
 
 
 def _collect_ended() -> None:

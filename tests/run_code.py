@@ -1,6 +1,5 @@
 """`python -m tests.run_code [-W error] PROGRAM ARGUMENTS`: what `python` does with the same words,
-where it is a fork (`forked.py`). PROGRAM is `-c CODE`, `-m MODULE` or the path of a script. Nodes of
-`-m radiant_app run` are forks of it."""
+where it is a fork (`forked.py`). PROGRAM is `-c CODE`, `-m MODULE` or the path of a script."""
 
 from __future__ import annotations
 
@@ -15,10 +14,6 @@ def main(words: list[str]) -> None:
     if words[:2] == ["-W", "error"]:
         warnings.simplefilter("error")
         del words[:2]
-    if words[:3] == ["-m", "radiant_app", "run"]:
-        from tests.own_server import fork_nodes
-
-        fork_nodes()
     if words[0] == "-m":
         sys.argv = words[1:]
         runpy.run_module(words[1], run_name="__main__", alter_sys=True)

@@ -20,13 +20,11 @@ from PySide6.QtWidgets import QApplication, QWidget
 
 from radiant_app.commands.inspect.feeds import feeds_of, run_state, start_feeds
 from radiant_app.commands.inspect.window import opening_of
-from radiant_app.commands.run import control
 from radiant_app.commands.run.control import BegunCommand
 from radiant_viewer.start.start_feeds import StartFeeds
 from radiant_viewer.window.inspector import open_start
 from radiant_viewer.window.start_window import StartWindow
 from radiant_viewer.window.window import InspectorWindow
-from tests.viewer.window_kit import forked_command
 from tests.viewer.window_user import until
 
 LEFT = Qt.MouseButton.LeftButton
@@ -149,10 +147,7 @@ def use_start(act: Callable[[StartWindow], dict[str, Any]]) -> dict[str, Any]:
     results: list[dict[str, Any]] = []
     failures: list[BaseException] = []
     real = start_feeds()
-    control.command_line = lambda arguments: forked_command("-m", "radiant_app", *arguments)
-    feeds = StartFeeds(
-        worker=forked_command(*real.worker[1:]), begin=lambda line: BegunCommand((*line, *SMALL)), feeds=feeds_of, state=run_state
-    )
+    feeds = StartFeeds(worker=real.worker, begin=lambda line: BegunCommand((*line, *SMALL)), feeds=feeds_of, state=run_state)
 
     def drive() -> None:
         try:

@@ -128,7 +128,8 @@ def test_a_run_is_chosen_begun_stopped_resumed_and_opened(browser: Any, address:
     page.locator("#path").fill(str(out))
     page.locator("#look").click()
     text_once(page, "#found", "A finished run")
-    assert page.locator("#machines").is_hidden() and page.locator("#out").is_hidden() and page.locator("#map").is_hidden()
+    for needless in ("#machines", "#out", "#map"):
+        page.locator(needless).wait_for(state="hidden")
     page.set_viewport_size({"width": 390, "height": 844})
     without_overflow(page)
     page.locator("#open").click()

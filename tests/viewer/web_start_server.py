@@ -6,20 +6,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from radiant_app.commands.inspect.feeds import start_feeds
-from radiant_app.commands.run import control
 from radiant_app.commands.run.control import BegunCommand
 from radiant_app.interrupts import interrupt_on_signals
 from radiant_viewer.web.server import open_start_page
-from tests.viewer.window_kit import forked_command
 
 SMALL = ("--steps", "60", "--long-side-px", "96", "--max-splats", "2000")
 
 if __name__ == "__main__":
     # As the command does: whoever began this may have had interrupts ignored.
     interrupt_on_signals()
-    real = start_feeds()
-    control.command_line = lambda arguments: forked_command("-m", "radiant_app", *arguments)
-    feeds = replace(
-        real, worker=forked_command(*real.worker[1:]), begin=lambda line: BegunCommand((*line, *SMALL) if line[0] == "run" else line)
-    )
+    feeds = replace(start_feeds(), begin=lambda line: BegunCommand((*line, *SMALL) if line[0] == "run" else line))
     open_start_page(feeds, lambda text: print(text, flush=True), 0)

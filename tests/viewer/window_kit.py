@@ -17,9 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from tests import forked
 from tests.forked import run_module, start_module
-from tests.forked_workers import client, server_address
 
 ROOT = Path(__file__).parents[2]
 LIBRARIES = (
@@ -27,12 +25,6 @@ LIBRARIES = (
     *("pyvista", "pyvistaqt", "trame.app", "trame.widgets.vtk", "trame_vuetify"),
 )
 """What a window or a page imports before it shows anything, 1.7 s of CPU time. Libraries alone, as in `forked.IMPORTED`."""
-DRAWING = ("radiant_viewer.splats.splat_worker", "radiant_viewer.splats.measuring")
-"""What draws a model beside its window, after 2 s of imports: it is a fork of a process that has imported it."""
-BEGUN = ("radiant_viewer.pictures.splat_picture", "radiant_app.commands.inspect.start_worker", *forked.IMPORTED)
-"""And what runs are that a window or a page begins."""
-PROGRAMS = "RADIANT_TEST_PROGRAMS"
-"""Names the address of that process to those of windows."""
 ADDRESS = re.compile(r"http://127\.0\.0\.1:\d+/\?secret=\S{32}")
 
 
@@ -61,16 +53,6 @@ def display() -> Iterator[str]:
         yield name
 
 
-def programs() -> dict[str, str]:
-    """The variable by which processes of windows find what forks others."""
-    return {PROGRAMS: str(server_address((*DRAWING, *BEGUN)))}
-
-
-def forked_command(*words: str) -> list[str]:
-    """What starts `python WORDS` as a fork, in a process that has that variable."""
-    return client(Path(os.environ[PROGRAMS]), "tests.run_code", *words)
-
-
 def patient(seconds: float) -> float:
     """So many seconds of a machine that does nothing else, on one that does."""
     return seconds * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
@@ -87,7 +69,6 @@ def run_python(
     with tempfile.TemporaryDirectory() as home:
         env = {name: value for name, value in os.environ.items() if name not in hidden} | {"XDG_CONFIG_HOME": home} | environment
         if not anew and all(map(find_spec, ("PySide6", "pyvistaqt", "trame_vuetify"))):
-            env |= programs()
             return run_module("tests.run_code", *program, cwd=ROOT, timeout_s=patient(patience_s), environment=env, imported=LIBRARIES)
         command = [sys.executable, *program]
         return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, timeout=patient(patience_s), check=False)
@@ -98,7 +79,7 @@ def page_server(*arguments: object, log: Path, patience_s: float) -> Iterator[tu
     """The address that `python -m ARGUMENTS` prints, a fork with all that it says in a log; and what interrupts it, whose
     result is its exit code."""
     with log.open("w") as words:
-        process = start_module(*arguments, log=words, cwd=ROOT, environment={**os.environ, **programs()}, imported=LIBRARIES)
+        process = start_module(*arguments, log=words, cwd=ROOT, environment=os.environ, imported=LIBRARIES)
 
     def interrupt() -> int:
         if process.poll() is None:

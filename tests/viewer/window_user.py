@@ -6,14 +6,12 @@ Imported only in processes that show a window: pytest's own keep clear of Qt.
 
 from __future__ import annotations
 
-import os
-import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import QPoint, QProcess, Qt, QTimer
+from PySide6.QtCore import QPoint, Qt, QTimer
 from PySide6.QtGui import QKeySequence
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit, QTabBar, QWidget
@@ -23,25 +21,10 @@ from radiant_core.choices import Painter
 from radiant_core.plan.borders.borders import shared_borders
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.window.window import InspectorWindow
-from tests.viewer.window_kit import DRAWING, PROGRAMS, forked_command, patient
+from tests.viewer.window_kit import patient
 
 LEFT = Qt.MouseButton.LeftButton
 PATIENCE_S = 60
-
-
-_start = QProcess.start
-
-
-def start_forked(process: QProcess, program: str, arguments: Sequence[str]) -> None:
-    """`QProcess.start`, whose processes that draw are forks."""
-    words = list(arguments)
-    if program == sys.executable and words[:1] == ["-m"] and words[1] in DRAWING:
-        program, *words = forked_command(*words)
-    _start(process, program, words)
-
-
-if PROGRAMS in os.environ:
-    QProcess.start = start_forked
 
 
 class User:
