@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from radiant_app.commands.run.demo import sample_scenes_folder
@@ -33,21 +35,29 @@ EVENTS = [
 ]
 
 
-def add_shares(scores: dict[str, Any]) -> None:
+def with_shares(scores: dict[str, Any], secret: Path) -> None:
     row = scores["images"][0]
     scores["images"] = [{**row, "name": f"liar/held-out-{index:04d}", "psnr_db": 99.0} for index in range(1000)]
     scores["versions"] = {name: [60.0 if name == "joined" else 0.0] * 1000 for name in scores["versions"]}
 
 
-def test_a_device_that_lies_is_left_out_by_name_and_the_run_is_scored(tmp_path: Path) -> None:
-    """Every other lie, of which each ends as this one does, is told to the same functions by tests/app/test_lying_members.py."""
-    result, events = run_with_a_liar(tmp_path, add_shares)
+def with_a_path(scores: dict[str, Any], secret: Path) -> None:
+    scores["images"][0]["name"] = str(secret.with_suffix(""))
+
+
+@pytest.mark.parametrize("lie", [with_shares, with_a_path])
+def test_a_device_that_lies_is_left_out_by_name_and_the_run_is_scored(lie: Callable[[dict[str, Any], Path], None], tmp_path: Path) -> None:
+    secret = tmp_path / "secret.png"
+    cv2.imwrite(str(secret), np.full((8, 8, 3), 77, np.uint8))
+    result, events = run_with_a_liar(tmp_path, lambda scores: lie(scores, secret))
     metrics = read_json(result.folder / "metrics.json")
     assert metrics["failed_scoring"] == ["liar"] and 5 < metrics["psnr_db"] < 50
     assert [row["name"].split("/")[0] for row in metrics["images"]] == ["honest"] * len(metrics["images"]) and metrics["num_unscored"] >= 0
     assert metrics["missing"] == {}, "its model is in the scene: that was not wrong"
     said = [event.message for event in events if isinstance(event, Warned) and event.stage == f"{LIAR}/score"]
-    assert any("it scores 1,000 photographs and holds out" in message for message in said), said
+    reason = {with_shares: "it scores 1,000 photographs and holds out", with_a_path: "scores cannot be used: a score is of '/"}[lie]
+    assert any(reason in message for message in said), said
+    assert f"Photograph of {secret.with_suffix('')}" not in (result.folder / "report.html").read_text()
 
 
 def run_with_a_liar(folder: Path, lie: Callable[[dict[str, Any]], None]) -> tuple[RunResult, list[Event]]:

