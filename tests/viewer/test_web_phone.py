@@ -40,6 +40,9 @@ def test_nothing_is_cut_off_at_390_px_and_layers_are_a_sheet(browser: Any, addre
     map_box, view_box = (page.locator(f"[data-view='{view}']").bounding_box() for view in ("Map", "3D"))
     assert map_box["width"] == view_box["width"] == 390 and view_box["y"] >= map_box["y"] + map_box["height"] - 1
 
+    worst = page.locator("th", has_text="PSNR (dB)").first.bounding_box()
+    assert worst["x"] + worst["width"] <= 390, "what is looked for among the cameras is out of sight"
+
     sheet = page.locator(".v-navigation-drawer")
     assert sheet.bounding_box()["y"] >= 844 - 1, "layers are out of the way at first"
     page.locator("[data-action='layers']").tap()

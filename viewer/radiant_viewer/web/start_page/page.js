@@ -94,7 +94,7 @@ async function look(path) {
       : "Nothing says yet where the photographs were taken: the run places them.";
     show("where", true);
     drawMap();
-    if (found.next === "open") await ask("watch", path).then(poll, () => {});
+    if (found.next === "open") await ask("watch", found.path).then(poll, () => {});
     await forecast();
   } catch (error) {
     if (mine === wish) at("found").textContent = error.message;
@@ -265,7 +265,8 @@ async function poll() {
   at("summary").textContent = state.summary || (state.at_work ? "It begins …" : state.words);
   show("stop", isRunning);
   show("resume", !isRunning && Boolean(now) && ["interrupted", "failed"].includes(now.status));
-  show("open", !isRunning && state.has_plan);
+  // Of a run that was chosen, Open stands beside its line already.
+  show("open", !isRunning && state.has_plan && !(source && source.next === "open" && source.path === state.run));
   if (now) { showStages(now); curves = now.losses; drawLoss(); }
   if (!state.at_work && atWork) sentence = state.words || (state.result ? `Finished: ${state.result}` : "It ended without a result");
   if (sentence) { say(sentence); sentence = ""; }
@@ -279,7 +280,7 @@ function drawModel(run, isRunning) {
   const picture = new Image();
   picture.onload = () => { at("model").src = picture.src; at("model").dataset.of = isRunning ? "part" : "all"; at("model").alt = `The model of ${run}`; show("model", true); };
   if (!isRunning) at("model").dataset.of = "all";
-  picture.src = `${address("model.jpg")}&n=${modelDrawn}`;
+  picture.src = `${address("model.webp")}&n=${modelDrawn}`;
 }
 
 async function act(name) {
