@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.palette import VERMILLION
+from radiant_viewer.layers.palette import ORANGE, VERMILLION
+from radiant_viewer.layers.themes import DARK, LIGHT
 from radiant_viewer.runs.run_layers import run_layers
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.web.browser_splats import MARK_COLOR
@@ -170,7 +171,23 @@ def test_a_browser_with_webgl_draws_the_model_itself_and_follows_the_page(drawin
     assert re.fullmatch(rf"{own}/splats-\S{{22}}/scene/index\.html\?webgl", frame.url)
     position = "viewer => radiantViewer.app.root.findByName('camera').getPosition().toString()"
     stood = frame.evaluate(position)
+    page.set_viewport_size({"width": 1900, "height": 900})
+    scale, button = frame.locator("#scale").bounding_box(), page.locator("[data-action='splats']").bounding_box()
+    assert scale["y"] > button["y"] + button["height"], "the button covers the scale bar"
+    page.set_viewport_size({"width": 1100, "height": 700})
     drawn = until(page, "3D", lambda now: now.std() > 12, "the browser draws the model")
+    for theme in (LIGHT, DARK):
+        until(
+            page,
+            "3D",
+            lambda now, theme=theme: marked(now, theme.view) > 0.05 * now[..., 0].size,
+            f"its ground is the {theme.name} theme's",
+        )
+        for name, color in (("Cameras by region", ORANGE), ("Cameras by split", VERMILLION)):
+            page.locator(f"[data-layer='{name}'] .v-btn").click()
+            until(page, "3D", lambda now, color=color: marked(now, color) > 40, f"{name} have the colours of their legend")
+            page.locator(f"[data-layer='{name}'] .v-btn").click()
+        page.locator("[data-action='theme']").click()
     page.locator("tr[data-camera='DJI_0016.JPG']").click()
     until(page, "3D", lambda now: marked(now, MARK_COLOR) > 20, "the selected camera is marked")
     page.locator("[data-action='fly']").click()

@@ -13,7 +13,7 @@ from radiant_viewer.pictures.images import save_png
 from radiant_viewer.runs.run_layers import hidden_at_first, run_layers
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.web.first_picture import first_page, first_picture
-from tests.viewer.test_web import DEADLINE_S, address, changed_share, conflict_resolved, picture, run_folder, until
+from tests.viewer.test_web import DEADLINE_S, address, changed_share, conflict_resolved, marked, picture, run_folder, until
 
 __all__ = ["address", "run_folder"]
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
@@ -57,8 +57,10 @@ def test_nothing_is_cut_off_at_390_px_and_layers_are_a_sheet(browser: Any, addre
     shown = page.locator(".rad-photo img").first
     shown.wait_for()
     assert 300 < shown.bounding_box()["width"] <= 390
+    until(page, "Map", lambda now: marked(now) > 20, "the chosen camera is marked")
     page.locator("[data-action='close']").tap()
     page.locator(".rad-panel").wait_for(state="hidden")
+    until(page, "Map", lambda now: marked(now) < 20, "a camera that is chosen no more has no mark")
     context.close()
 
 

@@ -77,7 +77,9 @@ def _bar() -> None:
         with v3.VBtnToggle(v_model=("panes",), mandatory=True, density="compact", variant="outlined", divided=True, style="height: 30px"):
             for value, text in (("map", "Map"), ("both", "Both"), ("view", "3D")):
                 v3.VBtn(text, value=value, size="small", classes="text-none", raw_attrs=[f'data-pane="{value}"'])
-        _button("mdi-fit-to-screen-outline", "Fit all layers into both views", "trigger('fit')", classes="ml-2")
+        _button(
+            "mdi-fit-to-screen-outline", "Fit all layers into both views", "trigger('fit')", classes="ml-2", raw_attrs=['data-action="fit"']
+        )
         _button("mdi-theme-light-dark", "Light or dark", "dark = !dark", raw_attrs=['data-action="theme"'])
 
 
