@@ -18,7 +18,7 @@ from radiant_viewer.runs.run_layers import hidden_at_first, run_layers
 from radiant_viewer.runs.run_pictures import screenshot
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.runs.sent_pages import older_pages
-from radiant_viewer.runs.shown_model import SURROUNDINGS, framed_box, framed_positions, seen_of, shown_of_run
+from radiant_viewer.runs.shown_model import SURROUNDINGS, framed_box, framed_positions, model_box, seen_of, shown_model, shown_of_run
 from radiant_viewer.share.folder import page_of_run
 from radiant_viewer.web.start_server import PICTURE_WH, model_webp
 from tests.viewer.hazy_town import NUM_HAZE, haze_share, hazy
@@ -141,6 +141,18 @@ def test_the_haze_is_a_decision_with_its_share_and_nothing_is_lost(run: Path) ->
     parts = [seen_of(view.model, box, lambda name, one=one: name == one) for one in ("Gaussians", SURROUNDINGS)]
     assert (parts[0] ^ parts[1]).all(), "a Gaussian is in both parts, or in none"
     assert seen_of(view.model, None, lambda name: name == "Gaussians").all(), "without a box something is hidden"
+
+
+def test_a_picture_of_a_model_alone_has_its_roofs_and_pits_and_not_its_sky() -> None:
+    ground, rng = made_up_town().splats, np.random.default_rng(3)
+    # Like roofs and pits of a town, few beside its ground; a third of the model is its sky.
+    means, parts = ground.means.copy(), {"roofs": slice(0, 400), "pits": slice(400, 800), "sky": slice(800, 3800)}
+    for name, low, high in (("roofs", 6, 20), ("pits", -15, -5), ("sky", 400, 900)):
+        means[parts[name], 2] += rng.uniform(low, high, len(means[parts[name]])).astype(np.float32)
+    model = replace(ground, means=means)
+    around = shown_model(model, model_box(model)).around
+    assert around[parts["sky"]].all() and around[parts["roofs"]].mean() < 0.05 and around[parts["pits"]].mean() < 0.05
+    assert around[3800:].mean() < 0.05
 
 
 def test_page_headless_pictures_and_open3d_leave_it_out_too(run: Path) -> None:

@@ -172,7 +172,7 @@ def _lower_half() -> None:
             _camera_table()
             _seam_tour()
             with html.Div(v_show="tab === 'plan'", classes="rad-tab pa-2"):
-                html.Img(v_if="gantt", src=("gantt",), style="max-width: 100%; background: white", alt="Gantt chart of plan and run")
+                html.Img(v_if="gantt", src=("gantt",), classes="rad-chart", alt="Gantt chart of plan and run")
                 html.Div("The run has no times yet: there is no chart.", v_if="!gantt", classes="rad-soft pa-2")
         _pictures()
 
