@@ -29,10 +29,10 @@ REST_MS = 12_000
 
 
 @contextmanager
-def address_of(*arguments: object) -> Iterator[str]:
-    """The address that `radiant inspect ARGUMENTS --web` prints, while it serves."""
+def address_of(*arguments: object, folder: Path | None = None) -> Iterator[str]:
+    """The address that `radiant inspect ARGUMENTS --web`, begun in a folder, prints while it serves."""
     command = [sys.executable, "-m", "radiant_app", "inspect", *map(str, arguments), "--web", "--port", "0"]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder)
     assert server.stdout is not None
     try:
         printed = re.search(r"http://\S+", server.stdout.readline())

@@ -129,6 +129,7 @@ def test_a_run_is_chosen_begun_stopped_resumed_and_opened(browser: Any, address:
     page.locator("#model:visible").wait_for()
     assert page.locator("#model").evaluate("image => image.decode().then(() => image.naturalWidth)") == PICTURE_WH[0]
     page.locator("#message", has_text="Finished: ").wait_for()
+    assert "not empty" not in page.locator("#forecast").inner_text(), "a run that ended well is told as an error"
     if folder := os.environ.get("RADIANT_PAGE_PICTURES"):
         page.screenshot(path=str(Path(folder) / "web_start.jpg"), type="jpeg", quality=70)
     page.locator("#path").fill(str(out))

@@ -270,7 +270,13 @@ async function poll() {
   if (now) { showStages(now); curves = now.losses; drawLoss(); }
   if (!state.at_work && atWork) sentence = state.words || (state.result ? `Finished: ${state.result}` : "It ended without a result");
   if (sentence) { say(sentence); sentence = ""; }
-  if (atWork !== state.at_work) { atWork = state.at_work; showState(); if (!atWork && isChosen()) forecast(); }
+  if (atWork !== state.at_work) {
+    atWork = state.at_work;
+    const isResult = source && source.next === "run" && at("out").value.trim() === state.run;
+    if (isResult) { command = null; at("forecast").textContent = "Another run of these needs another folder."; }
+    showState();
+    if (!atWork && !isResult && isChosen()) forecast();
+  }
   if (state.has_plan && (Date.now() - modelDrawn > 1000 * GROWING_S || (!isRunning && modelDrawn > 0 && at("model").dataset.of !== "all"))) drawModel(state.run, isRunning);
   if (!state.has_plan) show("model", false);
 }
