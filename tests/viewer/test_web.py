@@ -17,6 +17,7 @@ import pytest
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.palette import ORANGE, VERMILLION
 from radiant_viewer.layers.themes import DARK, LIGHT
+from radiant_viewer.pictures.images import save_png
 from radiant_viewer.runs.run_layers import run_layers
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.web.browser_splats import MARK_COLOR
@@ -33,6 +34,9 @@ DEADLINE_S = 120
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("web") / "run"
     save_run(folder, made_up_town(step_levels=40))
+    # A chart is drawn on white.
+    (folder / "pictures").mkdir(exist_ok=True)
+    save_png(folder / "pictures/gantt.png", np.full((60, 300, 3), 255, np.uint8))
     return folder
 
 
@@ -148,6 +152,9 @@ def test_chromium_toggles_sorts_chooses_and_tours(browser: Any, address: str) ->
     # The legend follows in a message of its own.
     bright = "(levels => Math.min(...levels) > 180)(getComputedStyle(document.querySelector('[data-layer=Borders] .rad-swatch'))"
     page.wait_for_function(f"{bright}.backgroundColor.match(/\\d+/g).map(Number))")
+    page.locator("[data-tab='plan']").click()
+    chart = cv2.imdecode(np.frombuffer(page.locator(".rad-chart").screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    assert chart is not None and chart.mean() < 60, "a chart is white on a dark page"
     assert (outside, errors) == ([], [])
 
     assert page.locator("iframe[data-loaded]").count() == 0, "without WebGL 2 the server's picture stays in sight"
@@ -207,7 +214,7 @@ def test_rows_say_every_figure_once_with_its_unit(run_folder: Path) -> None:
     figures = run_camera_figures(run)
     headers, rows = camera_headers(figures), camera_rows(figures)
     titles = [header["title"] for header in headers]
-    assert titles[:5] == ["Photograph", "Region", "Device", "Use", "PSNR (dB)"]
+    assert titles[:5] == ["Photograph", "PSNR (dB)", "Use", "Region", "Device"]
     assert len(set(titles)) == len(titles)
     assert len(rows) == 24
     assert rows[8]["psnr_db"] == "21.00"
