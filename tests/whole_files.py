@@ -1,7 +1,7 @@
 """Whole files for the workers of pytest-xdist, so that what a module's fixtures make is made once.
 
-`--dist loadfile` with two more rules: files that share one Ray cluster go to one worker, and files
-of tests/core, most of which are short, come last, so that the workers end together.
+`--dist loadfile` with two more rules: files that share what a session makes go to one worker, and
+files of tests/core, most of which are short, come last, so that the workers end together.
 """
 
 from __future__ import annotations
@@ -11,8 +11,14 @@ from typing import Any
 import pytest
 from xdist.scheduler import LoadFileScheduling
 
-OF_RAY = tuple(f"tests/contract/test_{name}.py" for name in ("executors", "gangs", "hierarchy", "together"))
-"""Where tests ask for the fixture `address`, a cluster that takes seconds to start."""
+_FILES = {
+    "address": ("contract", ("executors", "gangs", "hierarchy", "together")),
+    "finished": ("app", ("cards", "few_photographs", "pipeline", "pipeline_commands", "pipeline_nodes")),
+    "paper_models": ("bench", ("latency", "paper")),
+}
+SHARED = {fixture: tuple(f"tests/{folder}/test_{name}.py" for name in names) for fixture, (folder, names) in _FILES.items()}
+"""Files by the session's fixture that they ask for, where that takes seconds: a Ray cluster, a run, models."""
+_FIXTURE_OF = {file: fixture for fixture, files in SHARED.items() for file in files}
 LAST = "tests/core/"
 
 
@@ -26,7 +32,7 @@ class WholeFiles(LoadFileScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)
-        return OF_RAY[0] if file in OF_RAY else file
+        return _FIXTURE_OF.get(file, file)
 
 
 @pytest.hookimpl(trylast=True)

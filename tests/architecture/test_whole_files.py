@@ -1,4 +1,4 @@
-"""How tests are dealt to two workers: a file to one of them, those of Ray to one, short files last."""
+"""How tests are dealt to two workers: a file to one of them, those that share a session's fixture to one, short files last."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
-from tests.whole_files import OF_RAY, pytest_collection_modifyitems
+import pytest
+
+from tests.whole_files import SHARED, pytest_collection_modifyitems
 
 ROOT = Path(__file__).parents[2]
+OF_RAY = SHARED["address"]
 TESTS = """
 import os, pathlib, pytest, time
 @pytest.fixture(scope="module")
@@ -26,7 +29,7 @@ def test_it(made, number):
 """
 
 
-def test_a_modules_fixture_is_made_once_and_those_of_one_cluster_on_one_worker(tmp_path: Path) -> None:
+def test_a_modules_fixture_is_made_once_and_files_that_share_go_to_one_worker(tmp_path: Path) -> None:
     # Dealt by test, the largest file would be split: it has more than half of them all.
     counts = {"tests/app/test_large.py": 40, "tests/viewer/test_window.py": 3}
     for name, count in (counts | dict.fromkeys(OF_RAY, 3)).items():
@@ -52,7 +55,11 @@ def test_short_files_come_last_and_all_others_as_they_were() -> None:
     assert [item.nodeid.split(".")[0] for item in items] == ["tests/viewer/c", "tests/app/d", "tests/core/b", "tests/core/a"]
 
 
-def test_the_files_of_one_cluster_are_those_that_ask_for_it() -> None:
-    files = [path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "tests/contract").glob("test_*.py"))]
-    asking = [file for file in files if re.search(r"\baddress: str\b|\"address\"", (ROOT / file).read_text())]
-    assert asking == list(OF_RAY)
+@pytest.mark.parametrize(
+    ("fixture", "asked"),
+    [("address", r"\baddress: str\b|\"address\""), ("finished", r"\bfinished: Finished\b"), ("paper_models", r"\bpaper_models: Path\b")],
+)
+def test_files_that_share_are_those_that_ask(fixture: str, asked: str) -> None:
+    folder = (ROOT / SHARED[fixture][0]).parent
+    asking = [path.relative_to(ROOT).as_posix() for path in sorted(folder.glob("test_*.py")) if re.search(asked, path.read_text())]
+    assert asking == list(SHARED[fixture])
