@@ -8,12 +8,12 @@ import zipfile
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import fastkml
 import numpy as np
 import pytest
 import tifffile
-from lxml import etree
 from numpy.typing import NDArray
 from pygeoif import Point
 from pyproj import Transformer
@@ -49,11 +49,11 @@ def of_kml(path: Path) -> Places:
 
 def of_wpml(path: Path) -> Places:
     with zipfile.ZipFile(path) as archive:
-        root = etree.fromstring(archive.read("wpmz/waylines.wpml"))
-    assert root.xpath("string(//*[local-name()='executeHeightMode'])") == "relativeToStartPoint"
-    places = [mark.xpath("string(.//*[local-name()='coordinates'])").split(",") for mark in root.iter("{*}Placemark")]
-    heights = [mark.xpath("string(*[local-name()='executeHeight'])") for mark in root.iter("{*}Placemark")]
-    return np.column_stack([np.array(places, float), np.array(heights, float)])
+        root = ElementTree.fromstring(archive.read("wpmz/waylines.wpml"))
+    assert root.findtext(".//{*}executeHeightMode") == "relativeToStartPoint"
+    marks = list(root.iter("{http://www.opengis.net/kml/2.2}Placemark"))
+    places = [mark.findtext("{*}Point/{*}coordinates", "").split(",") for mark in marks]
+    return np.column_stack([np.array(places, float), np.array([mark.findtext("{*}executeHeight") for mark in marks], float)])
 
 
 def of_qgroundcontrol(path: Path) -> Places:
