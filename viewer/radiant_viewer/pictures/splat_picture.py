@@ -92,7 +92,8 @@ def render_rgbd(splats: Splats, camera: Cameras) -> NDArray[np.float32]:
 
 
 def draw_over_nothing(splats: Splats, camera: Cameras) -> NDArray[np.uint8]:
-    """Draw the model for one camera as RGBA (H,W,4), transparent where there is none, for a page of any colour."""
+    """Draw the model for one camera as RGBA (H,W,4), transparent where there is none, for a page of
+    any colour."""
     view = _render_near(splats, camera)
     # Colour is drawn over black, so it holds alpha already.
     color = view.image / np.maximum(view.alpha, 1 / 255)[..., None]
