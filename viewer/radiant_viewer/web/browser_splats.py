@@ -70,8 +70,8 @@ class BrowserSplats:
         return ""
 
     def show(self, layers: Sequence[Layer], theme: Theme) -> None:
-        """Show these layers in the colours of the map, "Cameras by PSNR" and the like as cameras, on
-        the theme's ground."""
+        """Show these layers in the colours of the map, "Cameras by PSNR" and the like as cameras,
+        on the theme's ground."""
         kinds = {name.split(":")[0]: name for name in self._layers}
         self.page_state = {
             **self.page_state,

@@ -121,8 +121,8 @@ class _StartPage:
 
 
 def model_webp(run: Path) -> bytes:
-    """The model of a run so far, from obliquely above and without what lies around the scene, transparent
-    beside it; empty where there is none yet."""
+    """The model of a run so far, from obliquely above and without what lies around the scene,
+    transparent beside it; empty where there is none yet."""
     from radiant_viewer.pictures.splat_picture import draw_over_nothing, fit_camera
     from radiant_viewer.runs.shown_model import framed_positions, shown_of_run
 
