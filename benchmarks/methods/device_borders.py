@@ -1,5 +1,5 @@
-"""Borders between the devices of an edge: strips of its cell cut by lines, where the distance is the
-least to a cut. Once per mask. P positions, R regions.
+"""Borders between the devices of an edge: strips of its cell cut by lines, where the distance is
+the least to a cut. Once per mask. P positions, R regions.
 """
 
 from __future__ import annotations

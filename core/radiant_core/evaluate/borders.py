@@ -41,8 +41,8 @@ class EdgeBorders:
         return self.plan.edge_ids
 
     def nearest(self, points_xy: FloatArray) -> NearestBorder:
-        """The border of its own region that is nearest to each of the positions (P,2) m, finite; two
-        edges at one site have no border: the heavier one owns everything."""
+        """The border of its own region that is nearest to each of the positions (P,2) m, finite.
+        Two edges at one site have no border: the heavier one owns everything."""
         sites = self.plan.sites
         spacing = np.linalg.norm(sites[:, None] - sites, axis=2)
         distances, pairs = np.full(len(points_xy), np.inf), np.full((len(points_xy), 2), -1)
