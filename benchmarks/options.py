@@ -22,7 +22,7 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "presets": ("train",),
     "budgets_s": ("train",),
     "num_seeds": (*_ON_MODELS, "kinds"),
-    "num_splits": ("train",),
+    "num_splits": ("train", "kinds"),
     "num_photographs": ("train", "kinds"),
     "hold_out": ("train", "methods"),
     "off_path": ("train", "methods"),
