@@ -243,7 +243,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
         Regime(
             row="filled-where-nothing-is",
             page="regimes",
-            evidence="turntable: 68 and 72 % contradicted, −2.73 and −0.82 dB; twelve others: 0 to 51 %, −0.9 to +0.9 dB",
+            evidence="turntable: 68 to 87 % contradicted, −2.73 and −0.82 dB; twelve others: 0 to 51 %, −0.9 to +0.9 dB",
             limits={"contradicted": _from(CONTRADICTED_SHARE)},
             values={"tried": 0, "on": 0},
             reason=f"from {100 * CONTRADICTED_SHARE:.0f} % on, most of these points lie in empty space, as around an object on a table",
@@ -257,7 +257,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
         ),
         Regime(
             row="filled-around",
-            evidence="12 to 18 %: +0.47 (orbit), −0.37 (street), −0.82 dB (turntable); 9 %: −0.94 (room of 90) by height, +0.09 by depth",
+            evidence="12 to 18 %: +0.47 (orbit), −0.37 (street), −0.82 dB (turntable); room of 90: −0.94 by height, +0.16 by depth",
             values={"tried": 1, "on": 1},
             reason="around an object or along a street they gain or lose half a decibel",
         ),
