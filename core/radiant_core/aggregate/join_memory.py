@@ -1,15 +1,15 @@
 """How models are joined within a limit of memory: all at once, or tile after tile. Once per join.
 
-    at once   0.39 GB + N (7 b + 500) + 136 max_v p_v                   bytes, at least
-    by tiles  0.39 GB + 6 N b + max_t N_t (4 b + 500) + 136 max_v p_v
-    kept      up to min(36 Σ_v p_v, 0.4 GB) more, which saves time alone
+    at once   0.39 GB + N (7 b + 650) + 164 max_v p_v                   bytes, at least
+    by tiles  0.39 GB + 6 N b + max_t N_t (4 b + 650) + 164 max_v p_v
+    kept      up to min(24 Σ_v p_v, 0.27 GB) more, which saves time alone
 
 N Gaussians of b bytes each, N_t that tile t and its surroundings take, p_v pixels of view v. 0.39
 GB is a worker with its libraries and its inbox (three clouds of real sets held 356 to 383 MB beside
 the rest); three copies are the models, their sum and the result, four more the tensors that move
 with gradient and two moments; tiles hold their parts, what became of them and what the allocator
-keeps between two of them besides; 500 bytes are the rasterizer's; the step on a view takes 100
-bytes a pixel and its loss 36, which it may keep of every view (`StatisticsCache`) in what memory is
+keeps between two of them besides; 650 bytes are the rasterizer's; the step on a view takes 140
+bytes a pixel and its loss 24, which it may keep of every view (`StatisticsCache`) in what memory is
 left. Views lie in a file. `python -m tests.stress.retrain_memory` measures it.
 
 Views are never made smaller to fit: pictures of half the size teach about as much as a cut leaves,
@@ -25,15 +25,16 @@ from radiant_core.aggregate.config import MAX_TILES
 from radiant_core.aggregate.tiles import most_fitted, tiles_of
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.splats import Splats, concatenate_splats
+from radiant_core.train.native_loss import STATISTICS_BYTES_PER_PX
 
 PROCESS_BYTES = 390_000_000
 COPIES, COPIES_BY_TILES, COPIES_OF_A_TILE = 3, 6, 4
-RASTERIZER_BYTES_PER_SPLAT = 500
-STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 36, 100
-MOST_STATISTICS_BYTES = 400_000_000
+RASTERIZER_BYTES_PER_SPLAT = 650
+STEP_BYTES_PER_PX = 140
+MOST_STATISTICS_BYTES = 267_000_000
 """Memory for what the loss keeps of a join's views: of 100 at 384 px, 44 at 576. Others are
-prepared anew whenever they are shown. Up to 1 GiB saved 0 to 3 % of the time of edges that show 350
-views twice, for 0.7 GB (docs/experiments/paper_size.md); joins of 10 epochs were not timed."""
+prepared anew whenever they are shown. Up to 0.7 GB saved 0 to 3 % of the time of edges that show
+350 views twice (docs/experiments/paper_size.md); joins of 10 epochs were not timed."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,12 +1,12 @@
 """How many Gaussians a training may grow to within a limit of memory. Once per model.
 
-    memory(N) = base + (3 + m) Σ_v p_v (1 + s²) + kept + 100 max_v p_v
+    memory(N) = base + (3 + m) Σ_v p_v (1 + s²) + kept + 112 max_v p_v
                 + N (C · 4 (11 + 3 K) + 600)        bytes
 
 base: what the process holds before, and BASE_BYTES of the first step; p_v pixels of view v, kept as
 bytes, and again at the share s of its side that training begins with; m: 1 where photographs have
-masks, a byte a pixel, else 0; kept: the loss' statistics, 36 bytes a pixel where there is room;
-100: a step on the largest view. N Gaussians of K bases have 11 + 3 K float32 each, C times:
+masks, a byte a pixel, else 0; kept: the loss' statistics, 24 bytes a pixel where there is room;
+112: a step on the largest view. N Gaussians of K bases have 11 + 3 K float32 each, C times:
 parameters, gradients, two moments, copies of an edit or a checkpoint; the mean of the last steps
 takes more where no Gaussian went before it. 600 bytes are the rasterizer's and an edit's. Set so
 that tests/stress/test_train_memory.py holds on the sample town
@@ -23,13 +23,13 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
+from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES, STATISTICS_BYTES_PER_PX
 from radiant_core.train.needs import MIN_PLANNED, fit_dropping, fit_thinning, pixels_per_splat
 
 BASE_BYTES = 95_000_000
 COPIES, COPIES_OF_MEAN = 7.0, 1.5
 RASTERIZER_BYTES_PER_SPLAT = 600
-IMAGE_BYTES_PER_PX, MASK_BYTES_PER_PX, STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 3, 1, 36, 100
+IMAGE_BYTES_PER_PX, MASK_BYTES_PER_PX, STEP_BYTES_PER_PX = 3, 1, 112
 MAX_STATISTICS_SHARE = 0.25
 """At most this share of what photographs leave free keeps statistics, which only save time."""
 VRAM_SHARE = 0.8

@@ -27,8 +27,11 @@ from radiant_core.train.device_loss import device_loss, device_statistics
 from radiant_core.train.losses import weighted_loss
 
 STATISTICS_BUDGET_BYTES = 1 << 30
-"""Memory for what a training keeps of its views, 36 bytes a pixel (a join: `join_memory`); without
-them the loss takes 1.8 times as long."""
+"""Memory for what a training keeps of its views (a join: `join_memory`); without it the loss takes
+1.8 times as long."""
+STATISTICS_BYTES_PER_PX = 24
+"""Means and variances, three float32 each. The target itself is 12 more and comes from its bytes in
+each step, to the same values."""
 STATISTICS_VRAM_SHARE = 0.1
 """Share of a GPU's free memory for them, of what `train.memory` leaves beside the Gaussians."""
 
@@ -59,30 +62,29 @@ class TargetStatistics:
             _native.target_statistics(target.numpy(), means.numpy(), variances.numpy(), torch.get_num_threads())
         return TargetStatistics(target=target, means=means, variances=variances)
 
-    @property
-    def num_bytes(self) -> int:
-        return 3 * self.target.numel() * self.target.element_size()
-
 
 class StatisticsCache:
-    """Statistics by view; the first that fit into the budget stay: views come in a new order every
-    epoch, so dropping the oldest would drop each of them just before its turn."""
+    """Means and variances by view; the first that fit into the budget stay: views come in a new
+    order every epoch, so dropping the oldest would drop each of them just before its turn."""
 
     def __init__(self, budget_bytes: int = STATISTICS_BUDGET_BYTES, device: str = "cpu") -> None:
         """`budget_bytes` in main memory; on a GPU at most `STATISTICS_VRAM_SHARE` of what is
         free there."""
         self._free_bytes = budget_bytes if device == "cpu" else min(budget_bytes, int(STATISTICS_VRAM_SHARE * torch.cuda.mem_get_info()[0]))
         self._device = device
-        self._kept: dict[int, TargetStatistics] = {}
+        self._moments: dict[int, tuple[Tensor, Tensor]] = {}
 
     def get(self, view: int, load: Callable[[], Tensor]) -> TargetStatistics:
-        """The statistics of `view`, whose target `load` gives when they are not kept."""
-        if view in self._kept:
-            return self._kept[view]
-        statistics = TargetStatistics.of(load().to(self._device))
-        if statistics.num_bytes <= self._free_bytes:
-            self._free_bytes -= statistics.num_bytes
-            self._kept[view] = statistics
+        """The statistics of `view`, whose target `load` gives, the same one each time."""
+        target = load().to(self._device)
+        if view in self._moments:
+            means, variances = self._moments[view]
+            return TargetStatistics(target=target, means=means, variances=variances)
+        statistics = TargetStatistics.of(target)
+        num_bytes = statistics.means.nbytes + statistics.variances.nbytes
+        if num_bytes <= self._free_bytes:
+            self._free_bytes -= num_bytes
+            self._moments[view] = statistics.means, statistics.variances
         return statistics
 
 

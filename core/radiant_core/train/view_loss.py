@@ -134,7 +134,7 @@ def _background(step: int, config: TrainConfig) -> Tensor | None:
 
 def _target(views: TrainingViews, view: int, device: str) -> Tensor:
     if device == "cpu":  # by numpy: see `render/finite.py`
-        return torch.from_numpy(views.images[view].astype(np.float32) / 255)
+        return torch.from_numpy(np.divide(views.images[view], np.float32(255)))
     # As bytes to the GPU, a quarter of the way's load.
     return torch.tensor(views.images[view], device=device).float() / 255
 

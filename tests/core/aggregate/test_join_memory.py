@@ -38,7 +38,7 @@ def at_once_bytes() -> float:
 
 
 def test_what_is_left_is_kept_for_the_loss_and_never_more_than_it_can_use() -> None:
-    least, wanted = at_once_bytes(), 36 * sum(pixels_of(two_models()[1], SIDE_PX))
+    least, wanted = at_once_bytes(), 24 * sum(pixels_of(two_models()[1], SIDE_PX))
     plans = [planned(least + more) for more in (0, 1000, wanted, 1e12)]
     assert [plan.statistics_bytes for plan in plans] == [0, 1000, wanted, wanted]
     assert all(plan.fits and plan.num_tiles == 1 and plan.needed_bytes == least for plan in plans)

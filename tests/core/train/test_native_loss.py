@@ -14,7 +14,7 @@ from torch import Tensor
 from radiant_core import _native
 from radiant_core.errors import BadInput
 from radiant_core.train.losses import weighted_loss
-from radiant_core.train.native_loss import StatisticsCache, TargetStatistics, target_loss
+from radiant_core.train.native_loss import STATISTICS_BYTES_PER_PX, StatisticsCache, TargetStatistics, target_loss
 
 SHAPES = [(1, 1), (1, 40), (40, 1), (3, 500), (5, 5), (11, 17), (33, 64), (70, 43)]
 # Float32's rounding is 6e-8; a window of 121 weighted terms and a row of pixels add a few of them.
@@ -279,17 +279,14 @@ class TestPoison:
 
 def test_the_cache_keeps_the_first_that_fit() -> None:
     targets = [pair((20, 20), 0.0, seed)[1] for seed in range(3)]
-    loads: list[int] = []
-
-    def load(view: int) -> Tensor:
-        loads.append(view)
-        return targets[view]
-
-    cache = StatisticsCache(budget_bytes=2 * TargetStatistics.of(targets[0]).num_bytes)
-    for _ in range(2):
-        for view in range(3):
-            assert torch.equal(cache.get(view, lambda view=view: load(view)).target, targets[view])
-    assert loads == [0, 1, 2, 2]
+    cache = StatisticsCache(budget_bytes=2 * STATISTICS_BYTES_PER_PX * 20 * 20)
+    rounds = [[cache.get(view, lambda view=view: targets[view].clone()) for view in range(3)] for _ in range(2)]
+    for first, second, target in zip(*rounds, targets, strict=True):
+        fresh = TargetStatistics.of(target)
+        for name in ("target", "means", "variances"):
+            assert torch.equal(getattr(second, name), getattr(fresh, name)) and torch.equal(getattr(first, name), getattr(fresh, name))
+    shared = [first.means.data_ptr() == second.means.data_ptr() for first, second in zip(*rounds, strict=True)]
+    assert shared == [True, True, False]
 
 
 def test_denormals_survive_the_import() -> None:
