@@ -79,7 +79,7 @@ class BenchOptions:
     num_seeds: int | None = None
     """Models of each kind."""
     num_splits: int = 1
-    """How many eighths of the photographs, or lines, are held out, one after the other."""
+    """How many eighths of the photographs, or lines (train), are held out, one after the other."""
     num_photographs: int | None = None
     """Photographs to train on, evenly chosen, None for all (train); of a scene (kinds)."""
     hold_out: HoldOut = "interleaved"
