@@ -87,8 +87,8 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
         Regime(
             row="few-photographs",
             evidence=(
-                "left out at random: +0.04 to +0.51 dB with 15 to 20 photographs, −0.11 to −0.08 with 46; one per 40 "
-                "pixels: +0.75, +0.28, +0.13, −0.01 dB with 20"
+                "left out at random: +0.04 to +0.51 dB with 15 to 20 photographs, −0.11 to −0.08 with 46, of averaged models "
+                "−0.01 to +0.89 with 20; one per 40 pixels: +0.75, +0.28, +0.13, −0.01 dB with 20"
             ),
             limits={"photographs": _below(FEW_PHOTOGRAPHS)},
             values={"leaves_out": 1, "pixels_per_splat": 40},
