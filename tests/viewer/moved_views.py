@@ -20,7 +20,7 @@ import numpy as np
 from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QAction, QImage, QKeySequence, QWheelEvent
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QWidget
 
 from radiant_core.choices import Painter
 from radiant_viewer.host.canvas import Canvas
@@ -266,7 +266,7 @@ def _away_px(places: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.linalg.norm(places[:, None] - others[None], axis=2), nan=np.inf)
 
 
-def pixels_of(window: InspectorWindow) -> np.ndarray:
+def pixels_of(window: QWidget) -> np.ndarray:
     """What the screen shows of a window (H,W,3), in pixels of the screen."""
     picture = window.screen().grabWindow(int(window.winId())).toImage().convertToFormat(QImage.Format.Format_RGB888)
     rows = np.frombuffer(picture.constBits(), np.uint8).reshape(picture.height(), picture.bytesPerLine())

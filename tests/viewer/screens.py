@@ -29,10 +29,10 @@ REST_MS = 12_000
 
 
 @contextmanager
-def address_of(*arguments: object) -> Iterator[str]:
-    """The address that `radiant inspect ARGUMENTS --web` prints, while it serves."""
+def address_of(*arguments: object, folder: Path | None = None) -> Iterator[str]:
+    """The address that `radiant inspect ARGUMENTS --web`, begun in a folder, prints while it serves."""
     command = [sys.executable, "-m", "radiant_app", "inspect", *map(str, arguments), "--web", "--port", "0"]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder)
     assert server.stdout is not None
     try:
         printed = re.search(r"http://\S+", server.stdout.readline())
@@ -53,12 +53,10 @@ def picture_page(run: Path, photos: Path, out: Path) -> None:
             page.locator("iframe[data-loaded]").wait_for()
             page.locator("[data-layer='Regions']").first.wait_for(state="attached")
             for theme in THEMES:
-                if theme == "dark":
+                if not page.locator(f".v-theme--{theme}").count():
                     page.locator("[data-action='theme']").click()
-                    page.wait_for_function("document.querySelector('.v-theme--dark') !== null")
+                    page.locator(f".v-theme--{theme}").first.wait_for(state="attached")
                 _walk_page(page, size_wh, lambda name, theme=theme, page=page: _save(page, out, name, theme), is_first=theme == "light")
-            page.locator("[data-action='theme']").click()
-            page.wait_for_timeout(500)
             page.context.close()
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QTimer, QUrl
 from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtTest import QTest
@@ -25,6 +26,7 @@ from radiant_viewer.start.start_feeds import StartFeeds
 from radiant_viewer.window.inspector import open_start
 from radiant_viewer.window.start_window import StartWindow
 from radiant_viewer.window.window import InspectorWindow
+from tests.viewer.moved_views import pixels_of
 from tests.viewer.window_user import until
 
 LEFT = Qt.MouseButton.LeftButton
@@ -58,6 +60,17 @@ def _seen(window: type, but: object = None) -> Any:
     return next((one for one in QApplication.topLevelWidgets() if isinstance(one, window) and one.isVisible() and one is not but), None)
 
 
+def _contrast(window: StartWindow) -> float:
+    """Of the places on the map against its ground, as WCAG has it."""
+    pixels = pixels_of(window.map.canvas.plotter).astype(float) / 255
+    linear = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4)
+    light = linear @ np.array([0.2126, 0.7152, 0.0722]) + 0.05
+    ground = light[-3, 3]
+    # The middle of a place; its rim is dark in both themes.
+    place = np.quantile(light, 1 - 1e-4) if ground < 0.5 else np.quantile(light[light < 0.9 * ground], 0.5)
+    return float(max(place / ground, ground / place))
+
+
 def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> dict[str, Any]:
     """What is said of photographs, of a flight, of machines and qualities, and of nothing."""
     user = Newcomer(window)
@@ -68,6 +81,10 @@ def look_around(window: StartWindow, photos: Path, flight: Path, out: Path) -> d
     assert window.map.canvas.scale_bar.isVisible()
     QTest.qWait(500)
     assert "12 photographs" in window.source.text.text(), window.source.text.text()
+    for theme in ("dark", "light"):
+        window.set_theme(theme)
+        QTest.qWait(500)
+        assert _contrast(window) > 4.5, f"places can hardly be seen in the {theme} theme"
     usual = {"title": window.found_source["title"], "command": window.command, "forecast": window.forecast.text()}
     places = len(window.map.canvas.actors.get("Places", ()))
     window.quality.button(2).click()

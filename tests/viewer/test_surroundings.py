@@ -13,13 +13,14 @@ import pytest
 
 from radiant_core.geometry.cleaning_file import cleaning_path
 from radiant_viewer.open3d_window.content import load_content
+from radiant_viewer.pictures.splat_picture import fit_camera, render_rgbd
 from radiant_viewer.runs.run_layers import hidden_at_first, run_layers
-from radiant_viewer.runs.run_pictures import screenshot, splats_picture
+from radiant_viewer.runs.run_pictures import screenshot
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.runs.sent_pages import older_pages
-from radiant_viewer.runs.shown_model import SURROUNDINGS, framed_box, seen_of, shown_of_run
+from radiant_viewer.runs.shown_model import SURROUNDINGS, framed_box, framed_positions, model_box, seen_of, shown_model, shown_of_run
 from radiant_viewer.share.folder import page_of_run
-from radiant_viewer.web.start_server import PICTURE_WH, model_jpeg
+from radiant_viewer.web.start_server import PICTURE_WH, model_webp
 from tests.viewer.hazy_town import NUM_HAZE, haze_share, hazy
 from tests.viewer.made_up_run import made_up_town, save_run
 from tests.viewer.town_share import shares
@@ -113,14 +114,19 @@ def test_the_first_picture_is_the_town_and_none_of_it_is_smear(tmp_path: Path) -
     assert covered >= 0.95 and smeared == 0
 
 
-def test_the_page_on_which_runs_are_begun_shows_what_the_report_does(run: Path) -> None:
+def test_the_page_on_which_runs_are_begun_shows_the_scene_alone_on_a_ground_of_any_colour(run: Path) -> None:
     view = load_run_view(run)
     assert view.splats is not None
-    expected = splats_picture(view.scene, view.cloud_plan, view.splats, PICTURE_WH).astype(int)
-    decoded = cv2.imdecode(np.frombuffer(model_jpeg(run), np.uint8), cv2.IMREAD_COLOR)
-    assert decoded is not None and expected.std() > 10
-    # JPEG changes a level or two.
-    assert np.abs(decoded[:, :, ::-1] - expected).mean() < 3
+    picture = cv2.imdecode(np.frombuffer(model_webp(run), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert picture is not None and picture.shape == (PICTURE_WH[1], PICTURE_WH[0], 4)
+    image, alpha = picture[..., 2::-1].astype(float), picture[..., 3:] / 255
+    camera = fit_camera(framed_positions(view.scene, view.cloud_plan), PICTURE_WH)
+    expected = 255 * render_rgbd(shown_of_run(view).splats, camera)[..., :3]
+    # WebP changes colours by some levels.
+    assert np.abs(image * alpha + 255 * (1 - alpha) - expected).mean() < 4 and expected.std() > 10
+    columns, rows = (np.flatnonzero((alpha[..., 0] > 0.5).any(axis=axis)) for axis in (0, 1))
+    assert np.ptp(columns) > 0.9 * PICTURE_WH[0] or np.ptp(rows) > 0.9 * PICTURE_WH[1], "the scene does not fill the picture"
+    assert (alpha[:5] == 0).mean() > 0.5, "what is beside the scene is no ground of the page's"
 
 
 def test_the_haze_is_a_decision_with_its_share_and_nothing_is_lost(run: Path) -> None:
@@ -135,6 +141,18 @@ def test_the_haze_is_a_decision_with_its_share_and_nothing_is_lost(run: Path) ->
     parts = [seen_of(view.model, box, lambda name, one=one: name == one) for one in ("Gaussians", SURROUNDINGS)]
     assert (parts[0] ^ parts[1]).all(), "a Gaussian is in both parts, or in none"
     assert seen_of(view.model, None, lambda name: name == "Gaussians").all(), "without a box something is hidden"
+
+
+def test_a_picture_of_a_model_alone_has_its_roofs_and_pits_and_not_its_sky() -> None:
+    ground, rng = made_up_town().splats, np.random.default_rng(3)
+    # Like roofs and pits of a town, few beside its ground; a third of the model is its sky.
+    means, parts = ground.means.copy(), {"roofs": slice(0, 400), "pits": slice(400, 800), "sky": slice(800, 3800)}
+    for name, low, high in (("roofs", 6, 20), ("pits", -15, -5), ("sky", 400, 900)):
+        means[parts[name], 2] += rng.uniform(low, high, len(means[parts[name]])).astype(np.float32)
+    model = replace(ground, means=means)
+    around = shown_model(model, model_box(model)).around
+    assert around[parts["sky"]].all() and around[parts["roofs"]].mean() < 0.05 and around[parts["pits"]].mean() < 0.05
+    assert around[3800:].mean() < 0.05
 
 
 def test_page_headless_pictures_and_open3d_leave_it_out_too(run: Path) -> None:

@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.palette import VERMILLION
+from radiant_viewer.layers.palette import ORANGE, VERMILLION
+from radiant_viewer.layers.themes import DARK, LIGHT
+from radiant_viewer.pictures.images import save_png
 from radiant_viewer.runs.run_layers import run_layers
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.web.browser_splats import MARK_COLOR
@@ -32,6 +34,9 @@ DEADLINE_S = 120
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("web") / "run"
     save_run(folder, made_up_town(step_levels=40))
+    # A chart is drawn on white.
+    (folder / "pictures").mkdir(exist_ok=True)
+    save_png(folder / "pictures/gantt.png", np.full((60, 300, 3), 255, np.uint8))
     return folder
 
 
@@ -147,6 +152,9 @@ def test_chromium_toggles_sorts_chooses_and_tours(browser: Any, address: str) ->
     # The legend follows in a message of its own.
     bright = "(levels => Math.min(...levels) > 180)(getComputedStyle(document.querySelector('[data-layer=Borders] .rad-swatch'))"
     page.wait_for_function(f"{bright}.backgroundColor.match(/\\d+/g).map(Number))")
+    page.locator("[data-tab='plan']").click()
+    chart = cv2.imdecode(np.frombuffer(page.locator(".rad-chart").screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    assert chart is not None and chart.mean() < 60, "a chart is white on a dark page"
     assert (outside, errors) == ([], [])
 
     assert page.locator("iframe[data-loaded]").count() == 0, "without WebGL 2 the server's picture stays in sight"
@@ -170,7 +178,23 @@ def test_a_browser_with_webgl_draws_the_model_itself_and_follows_the_page(drawin
     assert re.fullmatch(rf"{own}/splats-\S{{22}}/scene/index\.html\?webgl", frame.url)
     position = "viewer => radiantViewer.app.root.findByName('camera').getPosition().toString()"
     stood = frame.evaluate(position)
+    page.set_viewport_size({"width": 1900, "height": 900})
+    scale, button = frame.locator("#scale").bounding_box(), page.locator("[data-action='splats']").bounding_box()
+    assert scale["y"] > button["y"] + button["height"], "the button covers the scale bar"
+    page.set_viewport_size({"width": 1100, "height": 700})
     drawn = until(page, "3D", lambda now: now.std() > 12, "the browser draws the model")
+    for theme in (LIGHT, DARK):
+        until(
+            page,
+            "3D",
+            lambda now, theme=theme: marked(now, theme.view) > 0.05 * now[..., 0].size,
+            f"its ground is the {theme.name} theme's",
+        )
+        for name, color in (("Cameras by region", ORANGE), ("Cameras by split", VERMILLION)):
+            page.locator(f"[data-layer='{name}'] .v-btn").click()
+            until(page, "3D", lambda now, color=color: marked(now, color) > 40, f"{name} have the colours of their legend")
+            page.locator(f"[data-layer='{name}'] .v-btn").click()
+        page.locator("[data-action='theme']").click()
     page.locator("tr[data-camera='DJI_0016.JPG']").click()
     until(page, "3D", lambda now: marked(now, MARK_COLOR) > 20, "the selected camera is marked")
     page.locator("[data-action='fly']").click()
@@ -190,7 +214,7 @@ def test_rows_say_every_figure_once_with_its_unit(run_folder: Path) -> None:
     figures = run_camera_figures(run)
     headers, rows = camera_headers(figures), camera_rows(figures)
     titles = [header["title"] for header in headers]
-    assert titles[:5] == ["Photograph", "Region", "Device", "Use", "PSNR (dB)"]
+    assert titles[:5] == ["Photograph", "PSNR (dB)", "Use", "Region", "Device"]
     assert len(set(titles)) == len(titles)
     assert len(rows) == 24
     assert rows[8]["psnr_db"] == "21.00"

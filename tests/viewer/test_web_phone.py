@@ -13,7 +13,7 @@ from radiant_viewer.pictures.images import save_png
 from radiant_viewer.runs.run_layers import hidden_at_first, run_layers
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.web.first_picture import first_page, first_picture
-from tests.viewer.test_web import DEADLINE_S, address, changed_share, conflict_resolved, picture, run_folder, until
+from tests.viewer.test_web import DEADLINE_S, address, changed_share, conflict_resolved, marked, picture, run_folder, until
 
 __all__ = ["address", "run_folder"]
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
@@ -40,6 +40,9 @@ def test_nothing_is_cut_off_at_390_px_and_layers_are_a_sheet(browser: Any, addre
     map_box, view_box = (page.locator(f"[data-view='{view}']").bounding_box() for view in ("Map", "3D"))
     assert map_box["width"] == view_box["width"] == 390 and view_box["y"] >= map_box["y"] + map_box["height"] - 1
 
+    worst = page.locator("th", has_text="PSNR (dB)").first.bounding_box()
+    assert worst["x"] + worst["width"] <= 390, "what is looked for among the cameras is out of sight"
+
     sheet = page.locator(".v-navigation-drawer")
     assert sheet.bounding_box()["y"] >= 844 - 1, "layers are out of the way at first"
     page.locator("[data-action='layers']").tap()
@@ -54,8 +57,10 @@ def test_nothing_is_cut_off_at_390_px_and_layers_are_a_sheet(browser: Any, addre
     shown = page.locator(".rad-photo img").first
     shown.wait_for()
     assert 300 < shown.bounding_box()["width"] <= 390
+    until(page, "Map", lambda now: marked(now) > 20, "the chosen camera is marked")
     page.locator("[data-action='close']").tap()
     page.locator(".rad-panel").wait_for(state="hidden")
+    until(page, "Map", lambda now: marked(now) < 20, "a camera that is chosen no more has no mark")
     context.close()
 
 

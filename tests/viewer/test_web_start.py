@@ -23,6 +23,7 @@ from radiant_app.commands.run.control import stop_run
 from radiant_app.files.system_file import load_system
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
+from radiant_viewer.web.start_server import PICTURE_WH
 from tests.viewer.test_start_window import FLIGHT
 from tests.viewer.window_kit import ROOT, page_server
 
@@ -74,6 +75,11 @@ def nothing_cut_off(page: Any) -> None:
     # The path of the list may be longer than any field.
     assert set(cut) <= {"list"}, cut
     assert page.locator("#form select").bounding_box()["width"] > 100, "the kind of a machine cannot be read"
+    headings = [box["height"] for box in page.locator("#form th").evaluate_all("all => all.map(one => one.getBoundingClientRect())")]
+    assert max(headings) < 30, "a heading of the list is broken"
+    button, words = (page.locator(f"#qualities {part}").first.bounding_box() for part in ("input", "span"))
+    middles = [box["y"] + box["height"] / 2 for box in (button, words)]
+    assert abs(middles[0] - middles[1]) < 1.5, "a button of the quality stands beside its line"
     assert page.locator("h1").bounding_box()["height"] < 40, "the heading is broken"
 
 
@@ -121,8 +127,9 @@ def test_a_run_is_chosen_begun_stopped_resumed_and_opened(browser: Any, address:
     page.locator("#summary", has_text="Run done").wait_for()
     assert len(load_ply(out / "scene.ply")) > 100
     page.locator("#model:visible").wait_for()
-    assert page.locator("#model").evaluate("image => image.decode().then(() => image.naturalWidth)") == 960
+    assert page.locator("#model").evaluate("image => image.decode().then(() => image.naturalWidth)") == PICTURE_WH[0]
     page.locator("#message", has_text="Finished: ").wait_for()
+    assert "not empty" not in page.locator("#forecast").inner_text(), "a run that ended well is told as an error"
     if folder := os.environ.get("RADIANT_PAGE_PICTURES"):
         page.screenshot(path=str(Path(folder) / "web_start.jpg"), type="jpeg", quality=70)
     page.locator("#path").fill(str(out))
@@ -132,7 +139,8 @@ def test_a_run_is_chosen_begun_stopped_resumed_and_opened(browser: Any, address:
         page.locator(needless).wait_for(state="hidden")
     page.set_viewport_size({"width": 390, "height": 844})
     without_overflow(page)
-    page.locator("#open").click()
+    assert page.locator("#open").is_hidden(), "two buttons do the same"
+    page.locator("#start").click()
     page.locator("[data-layer='Regions']").first.wait_for(state="attached")
     assert page.url.startswith(address.split("?", maxsplit=1)[0]) and not errors, errors
 

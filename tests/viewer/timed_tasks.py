@@ -120,7 +120,10 @@ def measure_distance(user: User, out: Path) -> dict[str, Any]:
         view = window.view.plotter
         user.click(view, f"at {share:.2f}", QPoint(round(share * view.width()), view.height() // 2))
     tool = window.docks.survey.tool
-    return {"text": window.docks.survey.text.text(), "points": tool.points.tolist(), "figure_s": time.monotonic() - began}
+    measured = {"text": window.docks.survey.text.text(), "points": tool.points.tolist(), "figure_s": time.monotonic() - began}
+    QTest.keySequence(window, QKeySequence("Escape"))
+    assert not tool.is_active, "a key does not end the measuring"
+    return measured
 
 
 def leave_out_by_lasso(user: User, out: Path) -> dict[str, Any]:

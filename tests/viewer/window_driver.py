@@ -179,7 +179,7 @@ def steps_of_begun_run(nothing):
     (given.out / "scene.ply").rename(given.run_folder / "scene.ply")
     QTest.qWait(1500)
     assert windows() == [window], "the window was replaced under a measurement"
-    window.docks.survey.click.setChecked(False)
+    window.docks.end_clicks()
     until(lambda: windows() and windows() != [window])
     (fresh,) = windows()
     QTest.qWait(100)

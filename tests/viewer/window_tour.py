@@ -187,8 +187,12 @@ def tools(window, out: Path):
     assert survey.tool.is_active and not drawing.polygon.is_active and not drawing.draw.isChecked()
     drawing.select.lasso.click()
     assert drawing.select.is_active and not survey.tool.is_active, "two tools take the drags"
-    drawing.select.lasso.click()
+    window.docks.end_clicks()
     assert not drawing.select.is_active
+    for switch in (drawing.draw, survey.click):
+        switch.setChecked(True)
+        window.docks.end_clicks()
+        assert not (drawing.polygon.is_active or survey.tool.is_active or measure.isChecked()), "a tool still takes the clicks"
     before = window.screenshot()
     crop = window.docks.cleaning.box
     crop.active.setChecked(True)

@@ -72,6 +72,7 @@ class PhotoDock(QDockWidget):
         self.slider.valueChanged.connect(lambda value: self.picture.set_share(value / STEPS))
         self.picture.wiped.connect(lambda share: self.slider.setValue(round(share * STEPS)))
         self.zoom = QToolButton()
+        self.zoom.setText("–")
         self.zoom.setToolTip(
             "How large the photograph is shown. Click, or a double click in it: the whole picture, or 100 %, a pixel of the photograph "
             "for one of the screen. The wheel zooms to the pointer, the right button moves"

@@ -91,6 +91,14 @@ def render_rgbd(splats: Splats, camera: Cameras) -> NDArray[np.float32]:
     return np.dstack([over, np.where(view.alpha >= OPAQUE, view.depth, 0)]).astype(np.float32)
 
 
+def draw_over_nothing(splats: Splats, camera: Cameras) -> NDArray[np.uint8]:
+    """Draw the model for one camera as RGBA (H,W,4), transparent where there is none, for a page of any colour."""
+    view = _render_near(splats, camera)
+    # Colour is drawn over black, so it holds alpha already.
+    color = view.image / np.maximum(view.alpha, 1 / 255)[..., None]
+    return np.rint(255 * np.clip(np.dstack([color, view.alpha]), 0, 1)).astype(np.uint8)
+
+
 def aim_as(vtk: pv.Camera, camera: Cameras, origin: FloatArray, near: float, far: float) -> None:
     """Let VTK's camera, in coordinates relative to `origin`, see what a pinhole camera sees."""
     rotation, (width, height), K = camera.cam_from_world[0, :3, :3], camera.sizes_wh[0], camera.Ks[0]

@@ -115,12 +115,22 @@ def framed_box(scene: SfmScene, cloud_plan: CloudPlan) -> FloatArray:
 
 def model_box(splats: Splats) -> FloatArray:
     """Return lower and upper corner (2,3) of where a model alone has most of its surfaces: haze and
-    sky are thin or far, and neither moves the middle of what is opaque. BadInput without any
-    Gaussian."""
+    sky are thin or far, and neither moves the middle of what is opaque. Along the flattest side it
+    holds roofs and pits too, which are few beside the ground. BadInput without any Gaussian."""
     from radiant_core.geometry.open3d_ops import surface_points
 
     centers, chosen = surface_points(splats, np.inf)
-    return middle_box(centers if chosen.mean() > MIN_OPAQUE else splats.means.astype(np.float64))
+    places = centers if chosen.mean() > MIN_OPAQUE else splats.means.astype(np.float64)
+    box = middle_box(places)
+    sides = np.ptp(box, axis=0)
+    flattest, along = int(sides.argmin()), np.arange(3) != sides.argmin()
+    # Not farther than the scene is wide: a sky is over it too.
+    middle, reach = box[:, flattest].mean(), sides.max() / 2
+    near = ((places >= box[0]) & (places <= box[1]))[:, along].all(axis=1) & (np.abs(places[:, flattest] - middle) <= reach)
+    if near.any():
+        low, high = np.quantile(places[near, flattest], [1 - HIGHEST_SHARE, HIGHEST_SHARE])
+        box[:, flattest] = min(box[0, flattest], low), max(box[1, flattest], high)
+    return box
 
 
 def framed_positions(scene: SfmScene, cloud_plan: CloudPlan) -> FloatArray:

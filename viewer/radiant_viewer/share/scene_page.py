@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_core.numerics import FloatArray
 from radiant_viewer.layers.palette import category_colors, rgb
@@ -264,10 +265,13 @@ def frustum_line(run: RunView, index: int, color: str, width: float) -> dict[str
     return {"points": page_points(np.stack([a, b, c, d, a, center, b, c, center, d])), "color": color, "width": width}
 
 
+def drawn_cameras(num_cameras: int) -> NDArray[np.int64]:
+    """The cameras of a scene that a page draws, evenly chosen where there are too many."""
+    return np.unique(np.linspace(0, num_cameras - 1, min(num_cameras, MAX_CAMERAS)).round().astype(np.int64))
+
+
 def _frusta(run: RunView) -> list[dict[str, Any]]:
-    count = len(run.scene.cameras)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, MAX_CAMERAS)).round().astype(np.int64))
-    return [frustum_line(run, int(index), CAMERA_COLOR, 1.0) for index in chosen]
+    return [frustum_line(run, int(index), CAMERA_COLOR, 1.0) for index in drawn_cameras(len(run.scene.cameras))]
 
 
 def _layer(name: str, color: str, lines: list[dict[str, Any]]) -> dict[str, Any]:

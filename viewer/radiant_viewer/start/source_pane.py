@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QFileDialog, QFrame, QHBoxLayout, QLabel, QPushBut
 
 from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.layers.layer import Layer, LegendEntry
-from radiant_viewer.layers.palette import BLUE, rgb
+from radiant_viewer.layers.themes import Theme
 
 NOTHING = (
     "Drop a folder here: photographs, a film, an alignment of another program, a run. "
@@ -90,7 +90,7 @@ class PlacesMap(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.canvas = Canvas(self, "Map", is_map=True, origin=np.zeros(3))
-        self._places = np.zeros((0, 3))
+        self._places, self._places_are = np.zeros((0, 3)), ""
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(self.canvas.frame)
@@ -100,6 +100,7 @@ class PlacesMap(QWidget):
     def show_places(self, places: np.ndarray, places_are: str, unit: str) -> None:
         """Show places (P,2) and fit them; nothing for none of them."""
         self._places = np.column_stack([places, np.zeros(len(places))]) if len(places) else np.zeros((0, 3))
+        self._places_are = places_are
         if not len(places):
             self.canvas.remove("Places")
             self.canvas.note.setText(NO_PLACES if places_are else HERE)
@@ -108,17 +109,28 @@ class PlacesMap(QWidget):
             return
         spread = f"{np.ptp(places[:, 0]):,.0f} × {np.ptp(places[:, 1]):,.0f} {unit}"
         self.canvas.note.setText(f"{len(places):,} places by the {places_are}, {spread}")
+        self._draw()
+        self._show_scale(is_shown=True)
+        self.fit()
+
+    def set_theme(self, theme: Theme) -> None:
+        """Draw the places in the accent of a theme, which stands out from its ground."""
+        self.canvas.set_theme(theme)
+        if len(self._places):
+            self._draw()
+            self.canvas.plotter.update()
+
+    def _draw(self) -> None:
+        color = self.canvas.theme.accent
         layer = Layer(
             name="Places",
             points=self._places,
-            point_colors=np.tile(np.array(rgb(np.array(BLUE)), np.uint8), (len(places), 1)),
+            point_colors=np.tile(np.array(color, np.uint8), (len(self._places), 1)),
             point_size_px=8,
-            point_rim=len(places) < 2000,
-            legend=(LegendEntry(text=places_are, color=rgb(np.array(BLUE)), marker="dot"),),
+            point_rim=len(self._places) < 2000,
+            legend=(LegendEntry(text=self._places_are, color=color, marker="dot"),),
         )
         self.canvas.draw(layer, 0)
-        self._show_scale(is_shown=True)
-        self.fit()
 
     def fit(self) -> None:
         """Fit the places into the map."""

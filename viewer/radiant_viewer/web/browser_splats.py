@@ -9,21 +9,26 @@ from __future__ import annotations
 
 import secrets
 import tempfile
-from collections.abc import Collection
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from radiant_core.errors import RadiantError
 from radiant_core.lod.cells import whole_region
 from radiant_core.lod.levels import LodLimits
-from radiant_viewer.layers.palette import PURPLE
-from radiant_viewer.layers.themes import hex_color
+from radiant_viewer.layers.layer import Layer
+from radiant_viewer.layers.palette import GREY, VERMILLION, ColorArray, rgb
+from radiant_viewer.layers.themes import LIGHT, Theme, apply_theme, hex_color
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.share.folder import page_of_run, save_page
-from radiant_viewer.share.scene_page import PagePlace, frustum_line, run_overview, viewer_camera
+from radiant_viewer.share.scene_page import PagePlace, drawn_cameras, frustum_line, run_overview, viewer_camera
 
-MARK_WIDTH_PX, MARK_COLOR = 4.0, PURPLE
-"""Steps of seams are red here."""
+MARK_WIDTH_PX, MARK_COLOR = 4.0, VERMILLION
+"""As the ring on the map."""
+SIDES = 8
+"""Lines of a camera's pyramid in its layer; one of the page."""
 
 
 class BrowserSplats:
@@ -33,7 +38,7 @@ class BrowserSplats:
         self._run = run
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-web-")
         self.route = f"splats-{secrets.token_urlsafe(16)}"
-        self.page_state: dict[str, Any] = {"look": None, "layers": [], "mark": None}
+        self.page_state: dict[str, Any] = {"look": None, "layers": [], "mark": None, "colors": {}, "ground": hex_color(LIGHT.view)}
         self._layers: list[str] = []
         self._part = "scene"
         self._num_looks = 0
@@ -64,13 +69,30 @@ class BrowserSplats:
         self._layers = [layer["name"] for layer in page.layers]
         return ""
 
-    def show(self, visible: Collection[str]) -> None:
-        """Show the layers of these names, "Cameras by PSNR" and the like as cameras."""
+    def show(self, layers: Sequence[Layer], theme: Theme) -> None:
+        """Show these layers in the colours of the map, "Cameras by PSNR" and the like as cameras, on the theme's ground."""
         kinds = {name.split(":")[0]: name for name in self._layers}
         self.page_state = {
             **self.page_state,
-            "layers": [name for kind, name in kinds.items() if any(one.startswith(kind) for one in visible)],
+            "layers": [name for kind, name in kinds.items() if any(layer.name.startswith(kind) for layer in layers)],
+            "colors": {
+                name: [hex_color(rgb(color)) for color in colors]
+                for kind, name in kinds.items()
+                for layer in layers
+                if layer.name.startswith(kind) and len(colors := self._line_colors(kind, apply_theme(layer, theme)))
+            },
+            "ground": hex_color(theme.view),
         }
+
+    def _line_colors(self, kind: str, layer: Layer) -> ColorArray:
+        """Colours (L,3) of the page's lines of a layer; none where the page has its own."""
+        colors = layer.segment_colors
+        if kind == "Cameras" and len(colors):
+            return colors[::SIDES][drawn_cameras(len(self._run.scene.cameras))]
+        if kind == "Seams":
+            # The page has no lines where nothing is known.
+            return colors[(colors != np.array(GREY, np.uint8)).any(axis=1)]
+        return colors[:1] if kind == "Borders" else colors[:0]
 
     def look(self, place: PagePlace) -> None:
         """Fly to a place."""
@@ -81,9 +103,10 @@ class BrowserSplats:
         """Fly to where the whole scene is seen."""
         self.look(run_overview(self._run))
 
-    def mark(self, camera: int) -> None:
-        """Draw the pyramid of the selected camera over all."""
-        self.page_state = {**self.page_state, "mark": frustum_line(self._run, camera, hex_color(MARK_COLOR), MARK_WIDTH_PX)}
+    def mark(self, camera: int | None) -> None:
+        """Draw the pyramid of the selected camera over all; None: of no camera."""
+        line = None if camera is None else frustum_line(self._run, camera, hex_color(MARK_COLOR), MARK_WIDTH_PX)
+        self.page_state = {**self.page_state, "mark": line}
 
     def close(self) -> None:
         """Remove the folder."""

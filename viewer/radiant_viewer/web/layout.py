@@ -77,7 +77,9 @@ def _bar() -> None:
         with v3.VBtnToggle(v_model=("panes",), mandatory=True, density="compact", variant="outlined", divided=True, style="height: 30px"):
             for value, text in (("map", "Map"), ("both", "Both"), ("view", "3D")):
                 v3.VBtn(text, value=value, size="small", classes="text-none", raw_attrs=[f'data-pane="{value}"'])
-        _button("mdi-fit-to-screen-outline", "Fit all layers into both views", "trigger('fit')", classes="ml-2")
+        _button(
+            "mdi-fit-to-screen-outline", "Fit all layers into both views", "trigger('fit')", classes="ml-2", raw_attrs=['data-action="fit"']
+        )
         _button("mdi-theme-light-dark", "Light or dark", "dark = !dark", raw_attrs=['data-action="theme"'])
 
 
@@ -170,7 +172,7 @@ def _lower_half() -> None:
             _camera_table()
             _seam_tour()
             with html.Div(v_show="tab === 'plan'", classes="rad-tab pa-2"):
-                html.Img(v_if="gantt", src=("gantt",), style="max-width: 100%; background: white", alt="Gantt chart of plan and run")
+                html.Img(v_if="gantt", src=("gantt",), classes="rad-chart", alt="Gantt chart of plan and run")
                 html.Div("The run has no times yet: there is no chart.", v_if="!gantt", classes="rad-soft pa-2")
         _pictures()
 

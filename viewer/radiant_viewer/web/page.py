@@ -64,6 +64,7 @@ class WebPage:
         self.server.state.change("dark")(self._on_dark)
         self.server.state.change("sort_by")(self._on_sort)
         self.server.state.change("panes")(self._on_panes)
+        self.server.state.change("selected")(self._on_selected)
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def serve(self, host: str, port: int, secret: str, ready: Callable[[int], None]) -> None:
@@ -191,12 +192,22 @@ class WebPage:
             {"pictures": None, "figures": [], "kind": "photograph", "share": 50, "tab": "cameras", "panes": "both", "drawer": False}
         )
 
+    def _show_layers(self) -> None:
+        self.splats.show([layer for layer in self.scene.layers if layer.name in self.scene.visible], self.scene.theme)
+
+    def _on_selected(self, selected: int | None, **_: object) -> None:
+        # A phone closes the sheet of a camera.
+        if selected is None and self.scene.mark is not None:
+            self.scene.set_mark(None)
+            self.splats.mark(None)
+            self.push()
+
     def _on_visible(self, visible: list[str], **_: object) -> None:
         if set(visible) != self.scene.visible:
             if (SURROUNDINGS in visible) != (SURROUNDINGS in self.scene.visible) and self.server.state.splats_page:
                 self._spawn(self._show_model(with_surroundings=SURROUNDINGS in visible))
             self.scene.set_visible(visible)
-            self.splats.show(visible)
+            self._show_layers()
             if self.server.state.solo and set(visible) != {self.server.state.solo}:
                 self.server.state.solo = ""
             self.push()
@@ -205,6 +216,7 @@ class WebPage:
         theme = DARK if dark else LIGHT
         if theme is not self.scene.theme:
             self.scene.set_theme(theme)
+            self._show_layers()
             self.server.state.layers = self._layer_rows()
             self.push()
 
@@ -228,7 +240,7 @@ class WebPage:
         """Let the browser draw the model, without what lies around the scene unless wanted."""
         reason = await asyncio.to_thread(self.splats.write, with_surroundings=with_surroundings)
         with self.server.state as state:
-            self.splats.show(state.visible)
+            self._show_layers()
             state.splats_told = self.splats.page_state
             state.splats_page = "" if reason else self.splats.address
             state.splats_reason = reason and f"The browser cannot draw the model: {reason}"
@@ -247,6 +259,7 @@ class WebPage:
         layer = await asyncio.to_thread(color_step_layer, run.scene, run.cloud_plan, run.splats)
         with state:
             self.scene.add_layer(layer)
+            self._show_layers()
             state.layers = self._layer_rows()
             state.visible = [*state.visible, layer.name]
             state.seams, state.seams_note = seam_rows(self.stops, run.unit), ""

@@ -61,7 +61,8 @@ def run_camera_figures(run: RunView) -> CameraFigures:
             headings[figure.key] = figure.heading
     # The table has it already as psnr_db.
     del columns["psnr"], headings["psnr"]
-    order = ["name", "region", "device", "use", *measured]
+    # Figures first: a phone shows three columns, and the worst photograph is what is looked for.
+    order = ["name", *measured, "use", "region", "device"]
     whole = columns | measured
     return CameraFigures(columns={key: whole[key] for key in dict.fromkeys([*order, *whole])}, headings=headings)
 

@@ -28,7 +28,7 @@ from radiant_viewer.start.session import StartSession
 
 HOST = "127.0.0.1"
 FILES = Path(__file__).with_name("start_page")
-PICTURE_WH, JPEG_QUALITY = (960, 640), 85
+PICTURE_WH, WEBP_QUALITY = (960, 600), 85
 MAX_BODY_BYTES, PATIENCE_S = 1 << 18, 30
 WORDS = {
     "qualities": QUALITIES,
@@ -103,7 +103,7 @@ class _StartPage:
         return answer | ({"list": str(list_path(Path(answer["out"] or Path.cwd() / "run")))} if name == "look" else {})
 
     def picture(self) -> bytes:
-        """The model of the run that is watched as JPEG, of what there is of it; empty without
+        """The model of the run that is watched as WebP, of what there is of it; empty without
         any."""
         run = self._session.watched
         if run is None or not is_planned(run):
@@ -111,7 +111,7 @@ class _StartPage:
         with self._drawing:
             stamps = (run, file_stamps(run))
             if self._picture is None or self._picture[0] != stamps:
-                self._picture = (stamps, model_jpeg(run))
+                self._picture = (stamps, model_webp(run))
             return self._picture[1]
 
     def _open(self, path: str) -> dict[str, Any]:
@@ -120,10 +120,11 @@ class _StartPage:
         return {"opened": path}
 
 
-def model_jpeg(run: Path) -> bytes:
-    """The model of a run so far as the report shows it, without what lies around the scene; empty
+def model_webp(run: Path) -> bytes:
+    """The model of a run so far, from obliquely above and without what lies around the scene, transparent beside it; empty
     where there is none yet."""
-    from radiant_viewer.runs.run_pictures import splats_picture
+    from radiant_viewer.pictures.splat_picture import draw_over_nothing, fit_camera
+    from radiant_viewer.runs.shown_model import framed_positions, shown_of_run
 
     try:
         view = load_run_view(run, growing=True)
@@ -132,8 +133,9 @@ def model_jpeg(run: Path) -> bytes:
         return b""
     if view.splats is None or not len(view.splats):
         return b""
-    image = cv2.cvtColor(splats_picture(view.scene, view.cloud_plan, view.splats, PICTURE_WH), cv2.COLOR_RGB2BGR)
-    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+    camera = fit_camera(framed_positions(view.scene, view.cloud_plan), PICTURE_WH)
+    image = cv2.cvtColor(draw_over_nothing(shown_of_run(view).splats, camera), cv2.COLOR_RGBA2BGRA)
+    return cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])[1].tobytes()
 
 
 class _Server(ThreadingHTTPServer):
@@ -161,9 +163,9 @@ class _Handler(BaseHTTPRequestHandler):
             script = (FILES / "page.js").read_text(encoding="utf-8")
             page = text.replace("{{ nonce }}", nonce).replace("{{ script }}", script).replace("{{ growing_s }}", f"{GROWING_S:g}")
             self._send(HTTPStatus.OK, "text/html; charset=utf-8", page.encode(), nonce)
-        elif path == "/model.jpg":
+        elif path == "/model.webp":
             picture = self.page.picture()
-            self._send(HTTPStatus.OK if picture else HTTPStatus.NOT_FOUND, "image/jpeg", picture)
+            self._send(HTTPStatus.OK if picture else HTTPStatus.NOT_FOUND, "image/webp", picture)
         else:
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"")
 

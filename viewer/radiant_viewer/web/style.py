@@ -30,6 +30,7 @@ html, body { overflow: hidden !important; }
 /* The frame says so itself, once it has drawn. */
 .rad-pane iframe[data-loaded] { visibility: visible; }
 .rad-pane .rad-drawn { position: absolute; right: 8px; top: 5px; z-index: 2; }
+.rad-pane .v-btn.rad-drawn { border: 1px solid rgba(128,128,128,.55); }
 .rad-tab { flex: 1 1 0; min-height: 0; overflow: auto; }
 .rad-table table { font-size: 12.5px; }
 .rad-table th, .rad-table tr[data-camera] td,
@@ -42,6 +43,9 @@ html, body { overflow: hidden !important; }
 .rad-photo img { position: absolute; left: 0; top: 0; width: 100%; height: 100%; object-fit: contain; }
 .rad-slider { position: absolute; left: 6px; right: 6px; bottom: 4px; margin: 0 !important; border-radius: 12px;
   background: rgba(var(--v-theme-surface), .72); }
+.rad-chart { max-width: 100%; background: white; }
+/* Drawn on white once per run: turned dark, its hues stay. */
+.v-theme--dark .rad-chart { filter: invert(.89) hue-rotate(180deg); }
 .rad-soft { font-size: 12px; opacity: .75; }
 .rad-figure { font-size: 11px; line-height: 16px; white-space: nowrap; }
 .rad-figure b { font-variant-numeric: tabular-nums; }

@@ -110,6 +110,7 @@ def _entries(window: ActionWindow, help_: Callable[[], object]) -> tuple[_Entry,
         ("", "The seam before", "Shift+N", (lambda: seams.step(-1)) if seams else None),
         ("", "Keep what the clicked places measure", "Shift+M", lambda: window.attempt(docks.survey.take)),
         ("", "Take the last place, corner or stroke back", "Backspace", docks.undo_corner),
+        ("", "End measuring, drawing, lasso and brush; choose nothing", "Escape", docks.end_clicks),
         ("", "Add the 3D view as a keyframe", "K", docks.fly.add_view),
         ("", "Undo the last edit of the plan, or of the cleaning while its panel is in front", "Ctrl+Z", undo),
         ("", "Redo it", "Ctrl+Shift+Z", redo),
@@ -149,7 +150,6 @@ def _choosing(window: ActionWindow) -> tuple[_Entry, ...]:
         ("Lasso", "Choose Gaussians with a lasso in the 3D view", "L", partial(window.choose_by, select.lasso)),
         ("", "Choose Gaussians with a brush in the 3D view", "Shift+L", partial(window.choose_by, select.brush)),
         ("", "Leave out what lasso and brush chose", "Delete", lambda: window.attempt(select.make_step)),
-        ("", "Choose nothing, and end lasso and brush", "Escape", select.end),
     )
 
 

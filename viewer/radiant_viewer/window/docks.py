@@ -63,6 +63,13 @@ class Docks:
         if self.cleaning.select is not None and self.cleaning.select.is_active:
             self.cleaning.select.tool.undo()
 
+    def end_clicks(self) -> None:
+        """Leave clicks and drags to the views, and choose nothing."""
+        for button in self.click_buttons:
+            button.setChecked(False)
+        if self.cleaning.select is not None:
+            self.cleaning.select.end()
+
     def end(self) -> None:
         """Stop polling, films and what runs in processes of its own."""
         self.fly.stop()

@@ -120,7 +120,7 @@ class StartWindow(QMainWindow):
         self.theme = THEMES[name]
         QApplication.setPalette(qt_palette(self.theme))
         self.setStyleSheet(style_sheet(self.theme))
-        self.map.canvas.set_theme(self.theme)
+        self.map.set_theme(self.theme)
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
         """Called by Qt."""

@@ -39,7 +39,7 @@ viewer.app.root.on('childinsert', turn);
 const canvas = byId('lines');
 const pen = canvas.getContext('2d');
 const shown = new Set(scene.layers.filter((layer) => layer.shown).map((layer) => layer.name));
-let marks = [], ruler = [];
+let marks = [], ruler = [], colors = {};
 const repaint = () => { viewer.app.renderNextFrame = true; draw(); };
 
 // Ends of a segment in clip coordinates, cut at the near plane; null behind it.
@@ -68,8 +68,9 @@ function draw() {
   const screen = (q) => [(q[0] / q[3] + 1) / 2 * width, (1 - q[1] / q[3]) / 2 * height];
   for (const layer of [...scene.layers, { lines: marks, labels: [] }, rulerLayer()]) {
     if (layer.name && !shown.has(layer.name)) continue;
-    for (const line of layer.lines) {
-      pen.strokeStyle = line.color;
+    const worn = colors[layer.name];
+    for (const [place, line] of layer.lines.entries()) {
+      pen.strokeStyle = worn ? worn[place % worn.length] : line.color;
       pen.lineWidth = line.width;
       pen.beginPath();
       const corners = line.points.map(clip);
@@ -300,6 +301,9 @@ if (frame) {
     shown.clear();
     told.layers.forEach((name) => shown.add(name));
     marks = told.mark ? [told.mark] : [];
+    colors = told.colors;
+    const ground = camera()?.camera, level = (place) => parseInt(told.ground.slice(place, place + 2), 16) / 255;
+    if (ground) ground.clearColor = Object.assign(ground.clearColor.clone(), { r: level(1), g: level(3), b: level(5) });
     if (told.look && told.look.number !== looked) {
       looked = told.look.number;
       flyTo(told.look);

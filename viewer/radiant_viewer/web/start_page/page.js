@@ -94,7 +94,7 @@ async function look(path) {
       : "Nothing says yet where the photographs were taken: the run places them.";
     show("where", true);
     drawMap();
-    if (found.next === "open") await ask("watch", path).then(poll, () => {});
+    if (found.next === "open") await ask("watch", found.path).then(poll, () => {});
     await forecast();
   } catch (error) {
     if (mine === wish) at("found").textContent = error.message;
@@ -265,11 +265,18 @@ async function poll() {
   at("summary").textContent = state.summary || (state.at_work ? "It begins …" : state.words);
   show("stop", isRunning);
   show("resume", !isRunning && Boolean(now) && ["interrupted", "failed"].includes(now.status));
-  show("open", !isRunning && state.has_plan);
+  // Of a run that was chosen, Open stands beside its line already.
+  show("open", !isRunning && state.has_plan && !(source && source.next === "open" && source.path === state.run));
   if (now) { showStages(now); curves = now.losses; drawLoss(); }
   if (!state.at_work && atWork) sentence = state.words || (state.result ? `Finished: ${state.result}` : "It ended without a result");
   if (sentence) { say(sentence); sentence = ""; }
-  if (atWork !== state.at_work) { atWork = state.at_work; showState(); if (!atWork && isChosen()) forecast(); }
+  if (atWork !== state.at_work) {
+    atWork = state.at_work;
+    const isResult = source && source.next === "run" && at("out").value.trim() === state.run;
+    if (isResult) { command = null; at("forecast").textContent = "Another run of these needs another folder."; }
+    showState();
+    if (!atWork && !isResult && isChosen()) forecast();
+  }
   if (state.has_plan && (Date.now() - modelDrawn > 1000 * GROWING_S || (!isRunning && modelDrawn > 0 && at("model").dataset.of !== "all"))) drawModel(state.run, isRunning);
   if (!state.has_plan) show("model", false);
 }
@@ -279,7 +286,7 @@ function drawModel(run, isRunning) {
   const picture = new Image();
   picture.onload = () => { at("model").src = picture.src; at("model").dataset.of = isRunning ? "part" : "all"; at("model").alt = `The model of ${run}`; show("model", true); };
   if (!isRunning) at("model").dataset.of = "all";
-  picture.src = `${address("model.jpg")}&n=${modelDrawn}`;
+  picture.src = `${address("model.webp")}&n=${modelDrawn}`;
 }
 
 async function act(name) {
