@@ -6,7 +6,7 @@ check:  ## import rules, linter, types
 	./setup.sh check
 
 test: check  ## the checks, then every test but the stress tests
-	$(PYTHON) -m pytest -n 2 --dist worksteal --deselect tests/architecture/test_imports.py::test_import_linter_keeps_every_contract
+	$(PYTHON) -m pytest -n 2 --dist loadfile --deselect tests/architecture/test_imports.py::test_import_linter_keeps_every_contract
 
 stress: check  ## minutes of random and huge input
 	$(PYTHON) -m pytest -m stress

@@ -147,7 +147,7 @@ case "${1:-}" in
     unset PYTHONDONTWRITEBYTECODE
     # Two at a time even on larger machines: a worker holds up to 2 GB. By default, one of them would be given all of tests/app at once.
     # The import rules are checked already.
-    .venv/bin/python -m pytest -n 2 --dist worksteal --deselect tests/architecture/test_imports.py::test_import_linter_keeps_every_contract
+    .venv/bin/python -m pytest -n 2 --dist loadfile --deselect tests/architecture/test_imports.py::test_import_linter_keeps_every_contract
     ;;
   clang)
     install_project test

@@ -49,7 +49,7 @@ def bench(
     preset: Annotated[list[str] | None, typer.Option(help="train: presets to compare, else default and standard.")] = None,
     budget: Annotated[list[float] | None, typer.Option(min=0.1, help="train: CPU seconds, else 60, 180 and 600.")] = None,
     seeds: Annotated[int | None, typer.Option(min=1, max=100, help="train, methods, paper, kinds: models of each kind.")] = None,
-    splits: Annotated[int, typer.Option(min=1, max=8, help="train: eighths of the photographs, or lines, held out in turn.")] = 1,
+    splits: Annotated[int, typer.Option(min=1, max=8, help="train, kinds: eighths of the photographs, or lines, held out in turn.")] = 1,
     photographs: Annotated[int | None, typer.Option(min=2, help="train: so many of the training photographs; kinds: of a scene.")] = None,
     hold_out: Annotated[
         HoldOut, typer.Option(help="train, methods: every eighth photograph, a flight line, or each in turn.")

@@ -22,7 +22,7 @@ ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
     "presets": ("train",),
     "budgets_s": ("train",),
     "num_seeds": (*_ON_MODELS, "kinds"),
-    "num_splits": ("train",),
+    "num_splits": ("train", "kinds"),
     "num_photographs": ("train", "kinds"),
     "hold_out": ("train", "methods"),
     "off_path": ("train", "methods"),
@@ -79,7 +79,7 @@ class BenchOptions:
     num_seeds: int | None = None
     """Models of each kind."""
     num_splits: int = 1
-    """How many eighths of the photographs, or lines, are held out, one after the other."""
+    """How many eighths of the photographs, or lines (train), are held out, one after the other."""
     num_photographs: int | None = None
     """Photographs to train on, evenly chosen, None for all (train); of a scene (kinds)."""
     hold_out: HoldOut = "interleaved"

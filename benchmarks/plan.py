@@ -19,8 +19,8 @@ import numpy as np
 from benchmarks.metric import Metric
 from benchmarks.simulate import fleet_of, simulate
 from benchmarks.splits import ALL_METHODS, AnyMethod, plan_by
+from benchmarks.tracking import track_items
 from radiant_app.files.system_file import load_system
-from radiant_app.report.progress import track_items
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan

@@ -27,8 +27,8 @@ import numpy as np
 import typer
 
 from benchmarks.metric import Metric
+from benchmarks.tracking import track_items
 from radiant_app.commands.run.demo import sample_scenes_folder
-from radiant_app.report.progress import track_items
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model

@@ -32,9 +32,10 @@ from benchmarks.hold_out import mask_of, name_of, parts_of
 from benchmarks.metric import Metric
 from benchmarks.off_path import OffPath, OffPathFigures, figures_of, load_off_path, off_path_metrics
 from benchmarks.options import BenchOptions, HeldPart, HoldOut
+from benchmarks.tracking import track_items
 from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.commands.run.steps import stage_bar
-from radiant_app.report.progress import terminal_display, track_items
+from radiant_app.report.progress import terminal_display
 from radiant_app.reporting import EventReporter
 from radiant_app.workers.sources import captures_of, detect_source, load_scored_scene, masks_folder_of, reconstruct_source, sfm_task
 from radiant_core import __version__

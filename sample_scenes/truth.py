@@ -49,12 +49,17 @@ class Truth:
         return np.column_stack([east.ravel(), north.ravel()]), (len(y), len(x))
 
 
-def load_truth(known: Path, scene: SfmScene) -> Truth:
-    """The truth in the folder `known` beside the photographs of a scene."""
+def config_of(known: Path) -> SceneConfig:
+    """The settings that the scene of a folder `known` was made with."""
     record = json.loads((known / "frame.json").read_text())["config"]
     names = {field.name for field in fields(SceneConfig)}
     given: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in record.items() if key in names}
-    config = SceneConfig(**given)
+    return SceneConfig(**given)
+
+
+def load_truth(known: Path, scene: SfmScene) -> Truth:
+    """The truth in the folder `known` beside the photographs of a scene."""
+    config = config_of(known)
     truth = cameras_of(read_model(known))
     shared = sorted(set(truth.names) & set(scene.cameras.names))
     mesh = town_of(config)

@@ -33,7 +33,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.render.contract import RenderOutput, SplatTensors
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
-from tests import forked
+from tests import forked, whole_files
 from tests.cpu_seconds import CpuSeconds
 
 pytest.MonkeyPatch().setattr(local, "LEAST_FORKED", 1)
@@ -52,6 +52,7 @@ hypothesis.settings.load_profile("radiant")
 
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(CpuSeconds(), "cpu seconds")
+    config.pluginmanager.register(whole_files, "whole files")
 
 
 _SPLATS = {"means": "N 3", "quats": "N 4", "log_scales": "N 3", "logit_opacities": "N", "sh0": "N 1 3", "shN": "N K 3"}

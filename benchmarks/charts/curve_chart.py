@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
+from benchmarks.charts.curve_style import CurveStyle, curve_style
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.palette import CurveStyle, curve_style
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.page import axes_at, figure_image, style_axes, titled_figure
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
+from benchmarks.charts.curve_style import CurveStyle, curve_style
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, check_array
-from radiant_viewer.layers.palette import CurveStyle, curve_style
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.page import axes_at, figure_image, style_axes, titled_figure
 

@@ -92,6 +92,8 @@ class KindsBench:
     helpers: tuple[str, ...] = tuple(HELPERS)
     """Those of `HELPERS` and `ADDED` that are measured."""
     seeds: tuple[int, ...] = (0,)
+    splits: tuple[int, ...] = (0,)
+    """Which eighths of a scene's photographs are held out, one after the other."""
     long_side_px: int = 160
     num_steps: int = 1_500
 
@@ -123,7 +125,7 @@ def bench_kinds(bench: KindsBench) -> tuple[list[KindRow], list[Metric]]:
     """Measure what is missing of the matrix, write its tables into `out`, and return its rows and
     metrics `kinds.<kind>-<photographs>.<…>`."""
     scenes = list(product(bench.kinds, bench.numbers))
-    display, total = terminal_display(), len(scenes) * len(bench.seeds) * (3 + len(bench.changes))
+    display, total = terminal_display(), len(scenes) * len(bench.splits) * len(bench.seeds) * (3 + len(bench.changes))
     rows: list[KindRow] = []
     with stage_bar(display, "kinds"):
         for kind, number in scenes:
@@ -137,8 +139,8 @@ def bench_kinds(bench: KindsBench) -> tuple[list[KindRow], list[Metric]]:
 
 def _rows_of_scene(bench: KindsBench, kind: str, number: int) -> Iterator[KindRow]:
     with TemporaryDirectory(prefix="radiant-bench-kinds-") as work:
-        cell = _Cell(bench=bench, kind=kind, number=number, work=Path(work))
-        for seed in bench.seeds:
+        cells = [_Cell(bench=bench, kind=kind, number=number, first=first, work=Path(work)) for first in bench.splits]
+        for cell, seed in product(cells, bench.seeds):
             default = replace(bench.default, seed=seed)
             plain = with_settings(default, bench.without_all)
             yield from (both := cell.rows({DEFAULT: default, PLAIN: plain}))
@@ -156,6 +158,8 @@ class _Cell:
     bench: KindsBench
     kind: str
     number: int
+    first: int
+    """Which eighth is held out."""
     work: Path
 
     @cached_property
@@ -171,7 +175,7 @@ class _Cell:
             masks=None,
             captures=read_captures(images, result.scene.cameras.names),
         )
-        return split_source(source, "interleaved", 0, TrainBench(scene=project))
+        return split_source(source, "interleaved", self.first, TrainBench(scene=project))
 
     @cached_property
     def views(self) -> TrainingViews:
@@ -184,18 +188,18 @@ class _Cell:
 
     def rows(self, arms: Mapping[str, TrainConfig]) -> list[KindRow]:
         """The rows of arms, measured beside each other where one is not there yet."""
-        records = {
-            arm: self.bench.out
-            / "rows"
-            / f"{self.kind}-{self.number}-{_key(arm)}-{config.seed}-{content_key(__version__, asdict(config))[:16]}.json"
-            for arm, config in arms.items()
-        }
+        records = {arm: self._record(arm, config) for arm, config in arms.items()}
         if not all(record.is_file() for record in records.values()):
             for row in self._measure(arms):
                 records[row.arm].parent.mkdir(parents=True, exist_ok=True)
                 write_json(records[row.arm], asdict(row))
         stored = [read_json(record) for record in records.values()]
         return [KindRow(**{**record, "psnr_db": tuple(record["psnr_db"]), "psnr_cc_db": tuple(record["psnr_cc_db"])}) for record in stored]
+
+    def _record(self, arm: str, config: TrainConfig) -> Path:
+        split = f"{self.first}-" if self.first else ""
+        key = content_key(__version__, asdict(config))[:16]
+        return self.bench.out / "rows" / f"{self.kind}-{self.number}-{_key(arm)}-{split}{config.seed}-{key}.json"
 
     def _measure(self, arms: Mapping[str, TrainConfig]) -> Iterator[KindRow]:
         views, prepared, seconds, recorders = self.views, dict[str, PreparedTraining](), dict[str, float](), dict[str, Recorder]()
@@ -222,6 +226,7 @@ class _Cell:
                 num_photographs=self.number,
                 arm=arm,
                 seed=config.seed,
+                split=self.first,
                 cpu_s=seconds[arm],
                 num_steps=prepared[arm].config.num_steps,
                 num_gaussians=len(splats),
@@ -270,9 +275,9 @@ def _key_of_steps(prepared: PreparedTraining) -> str:
 
 
 def _metrics(rows: Sequence[KindRow]) -> list[Metric]:
-    metrics = []
+    metrics, first = [], min((row.seed, row.split) for row in rows)
     for row in rows:
-        if row.arm in (DEFAULT, PLAIN, PLAIN_LONGER) and row.seed == min(other_row.seed for other_row in rows):
+        if row.arm in (DEFAULT, PLAIN, PLAIN_LONGER) and (row.seed, row.split) == first:
             of_arm = [other_row for other_row in rows if (other_row.scene, other_row.arm) == (row.scene, row.arm)]
             for figure, unit in (("psnr_db", "dB"), ("psnr_cc_db", "dB"), ("cpu_s", "s"), ("num_gaussians", "1")):
                 value = float(np.mean([np.mean(getattr(other_row, figure)) for other_row in of_arm]))
@@ -370,6 +375,7 @@ def bench_of(options: BenchOptions) -> KindsBench:
         "numbers": None if options.num_photographs is None else (options.num_photographs,),
         "helpers": options.methods,
         "seeds": None if options.num_seeds is None else tuple(range(options.num_seeds)),
+        "splits": tuple(range(options.num_splits)),
         "long_side_px": options.long_side_px,
         "num_steps": options.num_steps,
     }

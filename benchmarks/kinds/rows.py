@@ -59,6 +59,8 @@ class KindRow:
     num_gaussians: int
     psnr_db: tuple[float, ...]
     psnr_cc_db: tuple[float, ...]
+    split: int = 0
+    """Which eighth of the photographs is held out."""
     steps: str = ""
     """Hash of all that decides the bits of its steps."""
     choices: Mapping[str, str] = field(default_factory=dict)
@@ -107,7 +109,7 @@ def gains_of(rows: Sequence[KindRow]) -> list[Gain]:
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """Rows of one scene with a helper and without it, seed by seed."""
+    """Rows of one scene with a helper and without it, seed by seed and split by split."""
 
     helper: str
     with_it: list[KindRow]
@@ -120,15 +122,18 @@ class Pair:
 
 
 def pairs_of(rows: Sequence[KindRow]) -> Iterator[Pair]:
-    """The default and every other arm that was measured on the same scene with the same seeds."""
-    groups: dict[tuple[str, str], dict[int, KindRow]] = {}
+    """The default and every other arm that was measured on the same scene with the same seeds and
+    splits; a split that some of these seeds lack is left out."""
+    groups: dict[tuple[str, str], dict[tuple[int, int], KindRow]] = {}
     for row in rows:
-        groups.setdefault((row.scene, row.arm), {})[row.seed] = row
-    for (scene, arm), by_seed in groups.items():
+        groups.setdefault((row.scene, row.arm), {})[row.seed, row.split] = row
+    for (scene, arm), measured in groups.items():
         default = groups.get((scene, DEFAULT), {})
-        seeds = sorted(by_seed.keys() & default.keys())
-        if arm != DEFAULT and seeds:
-            sides = [default[seed] for seed in seeds], [by_seed[seed] for seed in seeds]
+        common = measured.keys() & default.keys()
+        seeds = {seed for seed, _ in common}
+        jobs = sorted((seed, split) for seed, split in common if all((other_seed, split) in common for other_seed in seeds))
+        if arm != DEFAULT and jobs:
+            sides = [default[job] for job in jobs], [measured[job] for job in jobs]
             with_it, without = sides[::-1] if arm in ADDED else sides
             yield Pair(helper=arm, with_it=with_it, without=without)
 
@@ -140,7 +145,9 @@ def difference_of(pairs: Sequence[Pair], figure: str) -> PairedDifference:
 
 
 def _by_seed_and_image(rows: Sequence[KindRow], figure: str) -> FloatArray:
-    return np.array([getattr(row, figure) for row in rows], np.float64)
+    """A figure (S,I) per seed, over the held-out images of all splits one after the other."""
+    of_seeds = [[getattr(row, figure) for row in rows if row.seed == seed] for seed in sorted({row.seed for row in rows})]
+    return np.array([np.concatenate(of_splits) for of_splits in of_seeds], np.float64)
 
 
 def differences_over_scenes(rows: Sequence[KindRow]) -> dict[str, PairedDifference]:

@@ -17,21 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.methods.cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, ModelCache, deal_cell, deal_system, load_bench_scene, run_cell
+from benchmarks.methods.device_borders import DeviceBorders
 from benchmarks.methods.emulated_latency import NodeWork
 from benchmarks.methods.group_latency import GroupWork, LinkTime, scene_times
+from benchmarks.methods.seam_error import SeamMasks, band_and_interior_psnr_db, region_width, seam_masks
 from benchmarks.off_path import OffPath, OffPathFigures, figures_of, load_off_path
 from benchmarks.options import HeldPart
-from radiant_app.workers.evaluation import region_width
 from radiant_core import __version__
-from radiant_core.cameras import concatenate_cameras
+from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.choices import CutBy
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.borders import DeviceBorders, EdgeBorders
+from radiant_core.evaluate.borders import EdgeBorders
 from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import flip, psnr_db, ssim
 from radiant_core.evaluate.lpips import Lpips
-from radiant_core.evaluate.seam_error import SeamMasks, band_and_interior_psnr_db, seam_masks
-from radiant_core.evaluate.shown_pixels import select_strongest
+from radiant_core.evaluate.shown_pixels import count_shown_pixels
 from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.refining_plan import choose_rounds
@@ -41,6 +41,7 @@ from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.light.canonical import light_of_score, show_in_light
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.system import System
+from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.splats import Splats
 
@@ -320,3 +321,12 @@ def load_arms(
     else:
         first = deal_cell(load_bench_scene(scene, settings.train.long_side_px, cut_by, part), cache, settings, layout)
     return Arms(out=out, first=first)
+
+
+def select_strongest(splats: Splats, cameras: Cameras, count: int, backend: Backend = "auto") -> Splats:
+    """The `count` Gaussians that show most to the cameras, in their order; the model if smaller."""
+    if count < 1:
+        raise BadInput(f"{count} Gaussians are to be left, expected at least 1.")
+    if len(splats) <= count:
+        return splats
+    return splats.select(np.sort(np.argsort(-count_shown_pixels(splats, cameras, backend), kind="stable")[:count]))

@@ -50,8 +50,8 @@ from benchmarks.off_path import off_path_metrics
 from benchmarks.options import HoldOut
 from benchmarks.rivals.fed3dgs import Fed3dgsConfig, fed3dgs
 from benchmarks.rivals.vast_gaussian import vast_gaussian
+from benchmarks.tracking import track_items
 from benchmarks.training_pixels import training_pixels
-from radiant_app.report.progress import track_items
 from radiant_core.aggregate.config import CLOUD_EPOCHS, aggregate_preset, with_joins
 from radiant_core.aggregate.join import join_models
 from radiant_core.aggregate.synthetic_views import Teacher

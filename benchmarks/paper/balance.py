@@ -17,7 +17,7 @@ from benchmarks.methods.arms import Arm, Arms
 from benchmarks.methods.bench import METHODS
 from benchmarks.methods.cells import Cell
 from benchmarks.paper.parts import Part
-from radiant_app.report.progress import track_items
+from benchmarks.tracking import track_items
 from radiant_core.hierarchy.recipe import Recipe
 
 if TYPE_CHECKING:

@@ -32,8 +32,8 @@ from benchmarks.methods.emulated_latency import emulate_server, emulate_tree
 from benchmarks.paper.parts import Part
 from benchmarks.simulate import fleet_of, simulate
 from benchmarks.splits import ALL_METHODS, AnyMethod
+from benchmarks.tracking import track_items
 from radiant_app.files.system_file import load_system
-from radiant_app.report.progress import track_items
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.recipe import Recipe

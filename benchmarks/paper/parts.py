@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from benchmarks.methods.arms import Arm, ArmRow, Arms
 from benchmarks.methods.bench import METHODS, curves_of, epochs_arm
 from benchmarks.methods.cells import DEVICE_SPEEDS, Cell, Layout
+from benchmarks.methods.seam_error import MIN_IMAGES
 from benchmarks.methods.together import TOGETHER
-from radiant_app.report.progress import track_items
+from benchmarks.tracking import track_items
 from radiant_core.evaluate.image_error import psnr_db
-from radiant_core.evaluate.seam_error import MIN_IMAGES
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.borders import shared_borders
 from radiant_core.plan.plans import CloudPlan, EdgePlan

@@ -19,7 +19,7 @@ from benchmarks.methods.arms import Arms
 from benchmarks.paper.parts import Part
 from benchmarks.plan import camera_layout, unequal_system
 from benchmarks.splits import compare_all
-from radiant_app.report.progress import track_items
+from benchmarks.tracking import track_items
 from radiant_core.plan.profiles.curve_fit import fit_curve
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_viewer.charts.partition_chart import Partition, partitions_picture

@@ -22,7 +22,7 @@ from benchmarks.methods.cells import Cell
 from benchmarks.paper.latency import SYSTEMS, fitted_costs, measure_costs, system_cell
 from benchmarks.paper.parts import Part
 from benchmarks.splits import compare_all
-from radiant_app.report.progress import track_items
+from benchmarks.tracking import track_items
 from radiant_core.plan.baselines import ComparedPlan
 from radiant_core.plan.profiles.curve_fit import FittedCurve
 

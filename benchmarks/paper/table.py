@@ -36,7 +36,7 @@ from benchmarks.methods.rivals import FieldSettings, rival_arms
 from benchmarks.paper.latency import SERVER, Costs, fitted_costs, measure_costs, plan_arms, system_cell
 from benchmarks.paper.parts import Part
 from benchmarks.paper.published import published_table
-from radiant_app.report.progress import track_items
+from benchmarks.tracking import track_items
 from radiant_core.evaluate.bootstrap import paired_bootstrap
 from radiant_core.evaluate.image_error import NO_FLIP_REASON, NO_LPIPS_REASON, flip
 from radiant_core.hierarchy.recipe import Recipe

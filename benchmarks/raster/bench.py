@@ -24,7 +24,7 @@ import torch
 from benchmarks.metric import Direction, Metric
 from benchmarks.raster.accuracy import image_gradient, num_pairs, render, tile_errors
 from benchmarks.raster.drone_scene import SIZES, drone_scene
-from radiant_app.report.progress import track_items
+from benchmarks.tracking import track_items
 from radiant_core import _native
 from radiant_core.cameras import Cameras
 from radiant_core.render.contract import SplatTensors

@@ -87,8 +87,8 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
         Regime(
             row="few-photographs",
             evidence=(
-                "left out at random: +0.04 to +0.51 dB with 15 to 20 photographs, −0.11 to −0.08 with 46; one per 40 "
-                "pixels: +0.75, +0.28, +0.13, −0.01 dB with 20"
+                "left out at random: +0.04 to +0.51 dB with 15 to 20 photographs, −0.11 to −0.08 with 46, of averaged models "
+                "−0.01 to +0.89 with 20; one per 40 pixels: +0.75, +0.28, +0.13, −0.01 dB with 20"
             ),
             limits={"photographs": _below(FEW_PHOTOGRAPHS)},
             values={"leaves_out": 1, "pixels_per_splat": 40},
@@ -243,7 +243,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
         Regime(
             row="filled-where-nothing-is",
             page="regimes",
-            evidence="turntable: 68 and 72 % contradicted, −2.73 and −0.82 dB; twelve others: 0 to 51 %, −0.9 to +0.9 dB",
+            evidence="turntable: 68 to 87 % contradicted, −2.73 and −0.82 dB; twelve others: 0 to 51 %, −0.9 to +0.9 dB",
             limits={"contradicted": _from(CONTRADICTED_SHARE)},
             values={"tried": 0, "on": 0},
             reason=f"from {100 * CONTRADICTED_SHARE:.0f} % on, most of these points lie in empty space, as around an object on a table",
@@ -257,7 +257,7 @@ REGIMES: Mapping[str, tuple[Regime, ...]] = {
         ),
         Regime(
             row="filled-around",
-            evidence="12 to 18 %: +0.47 (orbit), −0.37 (street), −0.82 dB (turntable); 9 %: −0.94 (room of 90) by height, +0.09 by depth",
+            evidence="12 to 18 %: +0.47 (orbit), −0.37 (street), −0.82 dB (turntable); room of 90: −0.94 by height, +0.16 by depth",
             values={"tried": 1, "on": 1},
             reason="around an object or along a street they gain or lose half a decibel",
         ),

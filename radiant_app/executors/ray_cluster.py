@@ -1,8 +1,8 @@
 """The Ray executor: the same tree folded on a cluster of one owner's machines, a Ray task per node.
 
 This process never imports Ray: it talks to `ray_driver`, a process of its own, in lines of JSON
-over pipes. When the head of the cluster dies, Ray ends the process that is connected to it; then
-that is the driver, and the run can say what to do.
+over pipes. Ray may end the process that is connected to a cluster; then that is the driver, and the
+run can say what to do.
 
     place     a machine started with `--resources '{"device:north-1": 1}'` runs that device,
               `edge:north` that edge, `cloud` the cloud; others run anywhere

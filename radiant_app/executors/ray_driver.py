@@ -43,7 +43,7 @@ from radiant_core.errors import RadiantError, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, file_sha256
 
 CHECK_INTERVAL_S = 2.0
-"""Interval at which waiting tasks are checked: one pinned to a lost machine would wait forever."""
+"""Interval at which it is checked whether a machine is left for each waiting task."""
 GONE_S = 20.0
 """A waiting task is lost if no machine can run it for this long: a restarted one rejoins sooner."""
 LOCK_S = 120.0

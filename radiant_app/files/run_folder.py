@@ -40,8 +40,6 @@ PLANNING_FOLDER = "planning"
 """Of a cloud that plans by counts of its devices: in a run's folder, and the stage's name."""
 SFM_TASK = "task.json"
 """What `radiant sfm` was asked for, beside its work."""
-ALL_DEVICES = {"devices": "all"}
-"""Of the plans of runs that were begun before there was a choice."""
 OPTIONS = {"source": "source", "preset": "--train-preset", "time_s": "--time", "memory_bytes": "--memory", "overrides.settings": "--set"}
 """Setting of `radiant train` and `sfm` → its option, where `config_fields` does not say."""
 UNRECORDED = ("out", "execution", "evaluate")
@@ -363,7 +361,7 @@ def _reopen(out: Path, settings: dict[str, Any]) -> Manifest:
         raise BadInput(f"{out} holds no manifest.json, so it is no run to resume: choose another folder.")
     require_current(out)
     manifest = read_manifest(out)
-    differing = differing_options(settings, {**manifest.config, "plan": {**ALL_DEVICES, **manifest.config.get("plan", {})}})
+    differing = differing_options(settings, manifest.config)
     if differing:
         raise BadInput(f"{out} was begun with another {differing}: repeat those settings to resume, remove it, or choose another folder.")
     return replace(manifest, config=settings)

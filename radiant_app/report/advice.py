@@ -19,6 +19,8 @@ LOW_OVERLAP = 3.0
 UNSHARP_PERCENT = 80.0
 """Of the others' sharpness; sharp sets have 80 to 120 % (docs/experiments/training.md)."""
 MOST_LINES = 3
+LOST_SOMEWHERE = ("train.fill_in", "train.drop_gaussians")
+"""What cost half a decibel or more on some kind of scene (docs/experiments/kinds.md)."""
 
 
 def what_to_try(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
@@ -34,7 +36,7 @@ def what_to_try(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any
     if verdict_of(metrics).word != "poor":
         return ()
     lines = list(dict.fromkeys([*_tried(decisions), *_causes(metrics, decisions)]))
-    return tuple((lines or [*_untried(decisions), NOTHING_SEEN])[:MOST_LINES])
+    return tuple([*lines, *_untried(decisions), *([] if lines else [NOTHING_SEEN])][:MOST_LINES])
 
 
 NOTHING_SEEN = "the figures do not show why: compare the worst photographs with their renders (`radiant inspect`)"
@@ -49,7 +51,8 @@ def _tried(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 
 def _untried(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    for row in decisions:
+    """The other choice where none was tried; first what lost somewhere."""
+    for row in sorted(decisions, key=lambda row: not any(name in (row.get("otherwise") or "") for name in LOST_SOMEWHERE)):
         if row.get("otherwise") and row.get("otherwise_db") is None and not row["forced"] and not row.get("changes_nothing"):
             yield f"`{row['otherwise']}`: {row['topic']} ({row['choice']}) was not tried here"
 

@@ -10,13 +10,13 @@ Lines of a log file are not wrapped.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TaskID, TextColumn, track
+from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TaskID, TextColumn
 from rich.table import Column
 from rich.text import Text
 
@@ -25,18 +25,11 @@ from radiant_app.pace import Pace, RunPace, clock_text, run_text
 from radiant_app.plain_text import shown_text
 from radiant_core.garbage import without_garbage_search
 
-_Item = TypeVar("_Item")
 SECONDS_BETWEEN_LINES = 10.0
 """Interval between progress lines of a stage in a log file."""
 MAX_BAR_WIDTH = 30
 _TIME_LEFT = "/time left"
 """In place of a stage's name, of which none begins with a slash."""
-
-
-def track_items(items: Sequence[_Item], description: str) -> Iterator[_Item]:
-    """The items, with a bar on a terminal, for a loop whose items take about equally long."""
-    console = Console(stderr=True)
-    return iter(track(items, description=description, console=console, disable=not console.is_terminal))
 
 
 @contextmanager

@@ -50,9 +50,6 @@ from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.initialize import initial_splats
 
-FORMER_FILES = ("scene.ply", "plan.json", "cameras.safetensors")
-"""What earlier versions left in evaluation/."""
-
 
 @dataclass(kw_only=True)
 class PooledPhotographs:
@@ -142,8 +139,6 @@ class PooledPhotographs:
         config, scene, train = self.config, self.scene, dealer.recipe.train
         folder = config.out / "evaluation"
         folder.mkdir(exist_ok=True)
-        for name in FORMER_FILES:
-            (folder / name).unlink(missing_ok=True)
         untrained = initial_splats(
             scene.points, scene.colors, scene.cameras, max_num_splats=train.max_num_splats, sh_degree=train.sh_degree
         )

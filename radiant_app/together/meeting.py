@@ -9,9 +9,8 @@ A child asks for a link by an *attempt*, a folder of its own in `MEETING/to-NAME
 An attempt is taken by one parent and never again, so a restarted parent leaves alone what its dead
 predecessor took; whoever waits in vain for the other end makes a new attempt. Runs once per link.
 
-The keys lie in small files and not in torch's `FileStore`: one whose writer was killed before the
-last of the four writes of an entry holds every later reader for ever, in its constructor, with
-the file locked (torch 2.13: reading at the end of the file is tried again without end).
+The keys lie in small files and not in torch's `FileStore`: after a kill an attempt over it was seen
+to wait without end (torch 2.13). A file here is whole or absent.
 """
 
 import contextlib

@@ -5,12 +5,11 @@ keeps a receive of `FIRST_BYTES` posted, so a message leaves at once and costs o
 link, not three; what is longer follows in a second part, which costs a round trip more. A receive
 is posted again when its message was read: a second message waits at its sender until then.
 
-A byte of its own (`_END`) follows every part, and it is what the receiver waits for: gloo tells
-of a lost connection to every receive but the one whose bytes it is just reading, which would wait
-for the whole limit after the sender was killed (`findings/gloo_half_a_message.sh`). A connection
-keeps the order of its messages, so the part is there when the byte is. For the same reason nobody
-waits for a send: its receiver answers with a byte (`_RECEIPT`), for which the sender waits before
-its next message.
+A byte of its own (`_END`) follows every part, and the receiver waits for that byte alone: so it
+learns at once that its sender was lost, where gloo took its whole limit. A connection keeps the
+order of its messages, so the part is there when the byte is. For the same reason nobody waits for a
+send: its receiver answers with a byte (`_RECEIPT`), for which the sender waits before its next
+message.
 
 gloo closes a connection for good when somebody waits in vain, or when the other process ends.
 Then the link is lost (`LinkLost`), and the two ends make a new one (`meeting`).

@@ -377,9 +377,3 @@ def png_bytes(image: NDArray[np.uint8]) -> bytes:
     encoded, data = cv2.imencode(".png", image[..., ::-1])
     assert encoded
     return data.tobytes()
-
-
-def region_width(plan_sites: NDArray[np.float64]) -> float:
-    """Half the width of the band beside a border: 1/20 of the least distance between two edges."""
-    gaps = np.linalg.norm(plan_sites[:, None] - plan_sites, axis=2)
-    return float(gaps[gaps > 0].min()) / 20 if (gaps > 0).any() else 1.0

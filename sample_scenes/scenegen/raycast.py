@@ -79,7 +79,12 @@ class Photographer:
 
     def clearance_m(self, place: NDArray) -> float:
         """Distance from a place (3,) to the nearest surface."""
-        return float(self._scene.compute_distance(o3d.core.Tensor.from_numpy(place[None].astype(np.float32))).numpy()[0])
+        return float(np.linalg.norm(self.closest(place[None])[0] - place))
+
+    def closest(self, places: NDArray) -> NDArray[np.float64]:
+        """The surface's point (P,3) nearest to each place (P,3)."""
+        nearest = self._scene.compute_closest_points(o3d.core.Tensor.from_numpy(places.astype(np.float32)))
+        return nearest["points"].numpy().astype(np.float64)
 
     def photograph(self, shot: Shot, number: int) -> NDArray[np.uint8]:
         """The photograph (H,W,3) sRGB; number selects its sensor noise."""

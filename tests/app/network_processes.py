@@ -29,7 +29,7 @@ from radiant_app.network import line as lines
 from radiant_core.io.run_store import read_json, write_json
 from tests.app import network_worker
 from tests.app.blank_reports import leave_pictures_blank
-from tests.app.network_nodes import Nodes, split_photographs
+from tests.app.network_nodes import POLL_S, Nodes, split_photographs
 from tests.app.network_worker import HOLD, STARTS
 from tests.forked import run_module, start_module
 from tests.forked_workers import client_command
@@ -174,7 +174,7 @@ def run_here(folder: Path, workers: Path | None = None) -> bytes:
 
 def _main(name: str, folder: Path) -> None:
     os.cpu_count = lambda: 1
-    hub.POLL_S = 0.1
+    hub.POLL_S = POLL_S
     leave_pictures_blank(pytest.MonkeyPatch())
     for module in (local, network, far_cloud):
         vars(module)["worker_command"] = command
@@ -186,7 +186,7 @@ def _main(name: str, folder: Path) -> None:
             run(config, lambda event: print(encode(event), file=events), resume=(config.out / "manifest.json").is_file())
         return
     lines.Line.ask_once = _dumped(folder / WIRE / f"{name}.{os.getpid()}")  # type: ignore[method-assign]
-    running = commands.Running(say=lambda text: print(text, flush=True), command=command, poll_s=0.1)
+    running = commands.Running(say=lambda text: print(text, flush=True), command=command, poll_s=POLL_S)
     if name == "e":
         running.serve(folder / "e")
     else:

@@ -1,4 +1,4 @@
-"""What a poor scene is told to try: what trials left open, else the likeliest cause, else what was not tried."""
+"""What a poor scene is told to try: what trials left open, then the likeliest cause, then what was not tried."""
 
 from __future__ import annotations
 
@@ -59,6 +59,13 @@ def test_where_nothing_is_seen_what_was_not_tried_is_named_and_a_manifest_of_bef
     assert what_to_try(POOR, [before]) == (NOTHING_SEEN,)
     lines = what_to_try(POOR, [before, decided("points", "--set train.fill_in=false")])
     assert lines == ("`--set train.fill_in=false`: points (on) was not tried here", NOTHING_SEEN)
+
+
+def test_beside_causes_stands_what_was_not_tried_first_what_lost_somewhere() -> None:
+    untried = [decided("light", "--set train.light=always"), decided("points", "--set train.fill_in=false"), decided("repeats")]
+    lines = what_to_try({**POOR, "num_photographs": 20}, untried)
+    assert "20 photographs are few" in lines[0] and len(lines) == MOST_LINES
+    assert [line.split("`")[1] for line in lines[1:]] == ["--set train.fill_in=false", "--set train.light=always"]
 
 
 def test_it_follows_the_word_on_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

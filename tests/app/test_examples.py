@@ -33,9 +33,9 @@ def test_there_are_eight_short_ones_and_the_page_names_them() -> None:
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_makes_its_picture(path: Path, hamlet_scene: Path, hamlet: Path, out: Path) -> None:
-    # The hamlet stands for the town: ten photographs of its poses.
-    environment = {**os.environ, "OUT": str(out), "SCENE": str(hamlet_scene), "PHOTOGRAPHS": str(hamlet), "SMALL": "1"}
+def test_an_example_makes_its_picture(path: Path, hamlet_scene: Path, hamlet_project: Path, out: Path) -> None:
+    # The hamlet with known cameras stands for the town.
+    environment = {**os.environ, "OUT": str(out), "SCENE": str(hamlet_scene), "PHOTOGRAPHS": str(hamlet_project), "SMALL": "1"}
     if path == EXAMPLES[0]:
         environment["PYTHONPATH"] = str(ROOT)
         result = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, env=environment, timeout=600, check=False)
@@ -47,10 +47,10 @@ def test_an_example_makes_its_picture(path: Path, hamlet_scene: Path, hamlet: Pa
     assert picture is not None and float(np.std(picture)) > 5
 
 
-def test_the_notebook_shows_plan_model_and_seams_inline(hamlet: Path, out: Path) -> None:
+def test_the_notebook_shows_plan_model_and_seams_inline(hamlet_project: Path, out: Path) -> None:
     notebook = nbformat.read(ROOT / "examples/plan_model_seams.ipynb", as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "clear the outputs before it is committed"
-    environment = {**os.environ, "OUT": str(out), "PHOTOGRAPHS": str(hamlet), "SMALL": "1", "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "OUT": str(out), "PHOTOGRAPHS": str(hamlet_project), "SMALL": "1", "PYTHONPATH": str(ROOT)}
     NotebookClient(notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(ROOT / "examples")}}).execute(
         env=environment
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from radiant_app.files.system_file import dump_system, even_system
 from radiant_app.run import few_photographs, pooled
 from radiant_app.run.few_photographs import choose_workforce, num_devices_worth
 from radiant_app.run.predictions import planned_training
-from radiant_app.run.this_machine import MACHINE_NAME, MEMORY_SHARE
+from radiant_app.run.this_machine import MEMORY_SHARE
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan
 from radiant_core.plan.profiles.cost_curves import CostCurve
@@ -25,7 +24,7 @@ from radiant_core.plan.system import Device, System
 from radiant_core.regimes import FEW_PHOTOGRAPHS, PHOTOGRAPHS_OF_A_DEVICE
 from radiant_core.train.memory import training_memory
 from radiant_core.train.needs import Overrides
-from tests.app.pipeline_kit import TINY, Finished
+from tests.app.pipeline_kit import TINY
 from tests.app.test_doctor import CURVES
 
 CONFIG = RunConfig(source=Path("photos"), out=Path("run"))
@@ -141,21 +140,6 @@ def test_a_run_of_few_photographs_is_one_devices_and_says_so(hamlet_project: Pat
     assert again.metrics["psnr_db"] == result.metrics["psnr_db"], "a resumed run has the same devices"
     with pytest.raises(BadInput, match="begun with another --devices"):
         run(replace(config, plan=PlanOptions(devices="all")), resume=True)
-
-
-def test_a_run_begun_before_there_was_a_choice_goes_on_with_all_devices(finished: Finished, tmp_path: Path) -> None:
-    config, result, _ = finished
-    before = replace(config, out=tmp_path / "before")
-    shutil.copytree(config.out, before.out)
-    record = json.loads((before.out / "manifest.json").read_text())
-    del record["config"]["plan"]["devices"]
-    del record["sha256"]
-    (before.out / "manifest.json").write_text(json.dumps(record))
-    (before.out / MACHINE_NAME).unlink()
-    with pytest.raises(BadInput, match="begun with another --devices"):
-        run(replace(before, plan=PlanOptions()), resume=True)
-    again = run(replace(before, plan=PlanOptions(devices="all")), resume=True)
-    assert again.metrics["psnr_db"] == result.metrics["psnr_db"]
 
 
 def test_a_forecast_counts_photographs_that_are_trained_on(tmp_path: Path) -> None:

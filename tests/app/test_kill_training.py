@@ -5,13 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rich.console import Console
-
-from radiant_app.commands.run.demo import sample_scenes_folder
-from radiant_app.commands.run.steps import sfm
-from radiant_app.report.progress import ProgressDisplay
 from radiant_core.io.run_store import read_json
-from radiant_core.sfm.config import SfmConfig
 from tests.stress.kill_harness import differing_files, run_killed, run_whole
 
 RESULTS = ("scene.ply",)
@@ -39,12 +33,8 @@ def step_of(path: Path) -> int:
     return int(path.name.lstrip(".").removeprefix("step-").split(".")[0])
 
 
-def test_a_training_killed_while_it_writes_and_while_it_trains_ends_with_the_same_bytes(tmp_path: Path) -> None:
-    project, scene, whole, killed = (tmp_path / name for name in ("project", "scene", "whole", "killed"))
-    project.mkdir()
-    (project / "images").symlink_to(sample_scenes_folder() / "hamlet" / "images")
-    (project / "sparse").symlink_to(sample_scenes_folder() / "hamlet" / "known")
-    sfm(project, scene, SfmConfig(), ProgressDisplay(Console(quiet=True)))
+def test_a_training_killed_while_it_writes_and_while_it_trains_ends_with_the_same_bytes(hamlet_scene: Path, tmp_path: Path) -> None:
+    scene, whole, killed = hamlet_scene, tmp_path / "whole", tmp_path / "killed"
     run_whole(radiant_train(scene, whole, "--checkpoint-every", "60s"))
 
     def half_written() -> bool:

@@ -227,7 +227,7 @@ def test_who_dawdles_is_cut_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
         began, cut = time.monotonic(), False
         while not cut and time.monotonic() < began + 4:
             try:
-                one.sendall(b"X-Drip: 1\r\n" if sent and not sent.endswith(b"\r\n\r\n") else b"")
+                one.sendall(b"X-More: 1\r\n" if sent and not sent.endswith(b"\r\n\r\n") else b"")
                 one.settimeout(0.1)
                 cut = one.recv(1 << 16) == b""
             except TimeoutError:

@@ -98,6 +98,11 @@ def test_1600_waypoints_become_a_plan_with_lists_and_regions(tmp_path: Path) -> 
     assert {path.name for path in tmp_path.iterdir()} == {
         "flight.csv", "system.toml", "plan.json", "plan.png", "plan_gantt.png", "plan_system.toml", "plan_waypoints", "plan_regions.geojson"
     }  # fmt: skip
+    record = json.loads((tmp_path / "plan.json").read_text())
+    del record["waypoints"]["heights_from"]
+    (tmp_path / "earlier.json").write_text(json.dumps(record))
+    with pytest.raises(BadInput, match=r"earlier\.json: it has no heights_from"):
+        load_plan_waypoints(tmp_path / "earlier.json")
 
 
 @pytest.mark.parametrize(("link_mbit_per_s", "chosen"), [(20, "models are joined"), (1000, "4 devices train together")])

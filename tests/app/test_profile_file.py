@@ -137,7 +137,7 @@ def test_a_bad_value_gets_one_sentence(tmp_path: Path, old: str, new: str, messa
     assert str(caught.value).startswith(f"{path}: ") and message in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [b"", b"[", b"\xff", b"[1]", b'{"kind": NaN}', b"[" * 100_000])
+@pytest.mark.parametrize("content", [b"", b"[", b"\xff", b"[1]", b'{"kind": NaN}', b"[" * 2000])
 @pytest.mark.parametrize("suffix", [".toml", ".json"])
 def test_a_file_of_another_kind_is_refused(tmp_path: Path, suffix: str, content: bytes) -> None:
     path = tmp_path / f"file{suffix}"

@@ -195,7 +195,7 @@ def test_a_bad_value_gets_one_sentence_with_file_key_and_expectation(tmp_path: P
         (b"edges = 2", "is missing"),
         (b"\xff\xfe", "byte 0 is not UTF-8"),
         (b"{", "not a TOML file"),
-        (b"a = " + b"[" * 100_000, "not a TOML file"),
+        (b"a = " + b"[" * 2000, "not a TOML file"),
         (b"#" * (MAX_FILE_BYTES + 1), "larger than 1048576 bytes"),
     ],
     ids=["empty", "no edge", "number", "misspelt", "binary", "broken", "deeply nested", "huge"],

@@ -108,6 +108,25 @@ def test_other_seeds_widen_the_bounds_to_what_seeds_differ_by() -> None:
     assert gains_of(rows[:3])[0].psnr_db.num_seeds == 1 and gains_of([rows[1]]) == []
 
 
+def test_splits_of_a_seed_are_more_images_and_a_split_that_a_seed_lacks_says_nothing() -> None:
+    row = KindRow(
+        kind="room", num_photographs=30, arm=DEFAULT, seed=0, cpu_s=2, num_steps=9, num_gaussians=9, psnr_db=(20, 22), psnr_cc_db=(21, 23)
+    )
+    # The last eighth of 30 photographs has one less.
+    both = [row, replace(row, split=7, psnr_db=(26,), psnr_cc_db=(27,))]
+    rows = [
+        replace(each, arm=arm, psnr_db=tuple(np.array(each.psnr_db) + shift))
+        for arm, shift in ((DEFAULT, 1.5), (PLAIN, 0.0))
+        for each in both
+    ]
+    (gain,) = gains_of(rows)
+    assert gain.psnr_db.num_images == 3 and gain.psnr_db.num_seeds == 1 and gain.psnr_db.mean == pytest.approx(1.5)
+    other_seed = [replace(each, seed=1) for each in rows if each.split == 0]
+    (gain,) = gains_of([*rows, *other_seed])
+    assert gain.psnr_db.num_images == 2 and gain.psnr_db.num_seeds == 2
+    assert bench_of(BenchOptions(out=Path("out"), num_splits=2)).splits == (0, 1)
+
+
 def test_a_statistic_is_right_where_the_helper_pays_or_would_cost() -> None:
     """Light is off and would cost, and is on nowhere; a sky is on and costs, surely."""
     row = KindRow(

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from benchmarks.charts.curve_chart import CurvePoint, curve_picture
+from benchmarks.charts.curve_style import curve_style
 from benchmarks.charts.end_to_end_chart import KEYS_PX, LABEL_PX, PANEL_PX, MethodLatency, SystemLatency, end_to_end_picture
 from benchmarks.charts.healing_chart import CAPTION_PX, CELL_PX, FOOT_PX, GAP_PX, TOP_PX, Healed, healing_picture
 from benchmarks.charts.latency_chart import DeviceLatency, PlanLatency, latency_picture
 from benchmarks.charts.line_chart import Line, Panel, line_picture
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.palette import BLUE, CURVE_COLORS, GREEN, ORANGE, curve_style
+from radiant_viewer.layers.palette import BLUE, CURVE_COLORS, GREEN, ORANGE
 
 PHASES = ("devices train and send", "edges join and send", "the cloud joins", "refined and compared")
 SIMULATED = "simulated, until the edges are done"

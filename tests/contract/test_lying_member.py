@@ -22,7 +22,7 @@ from radiant_app.network import hub
 from radiant_app.network.errands import Errands
 from radiant_app.workers.delivering import deliver
 from radiant_core.io.run_store import read_json, write_json
-from tests.app.network_nodes import nodes_in, split_photographs
+from tests.app.network_nodes import POLL_S, nodes_in, split_photographs
 from tests.forked_workers import forked_workers
 
 TINY = TrainOptions(long_side_px=64, num_steps=30, max_num_splats=800)
@@ -87,7 +87,7 @@ def run_with_a_liar(folder: Path, lie: Callable[[dict[str, Any]], None]) -> tupl
         forked_workers(folder / "server", "tests.app.network_worker") as command,
         nodes_in(folder, command) as nodes,
     ):
-        patch.setattr(hub, "POLL_S", 0.1)
+        patch.setattr(hub, "POLL_S", POLL_S)
         patch.setattr(Errands, "_poll_body", lying_body)
         patch.setattr(Errands, "_send", lying_send)
         for module in (local, network, far_cloud):

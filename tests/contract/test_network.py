@@ -24,7 +24,7 @@ from radiant_app.network import cloud as far_cloud
 from radiant_app.network import executor as network
 from radiant_app.network import hub
 from radiant_core.io.records import load_cameras
-from tests.app.network_nodes import Nodes, nodes_in, split_photographs
+from tests.app.network_nodes import POLL_S, Nodes, nodes_in, split_photographs
 from tests.forked_workers import forked_workers
 
 EDGES = {"north": ["north-1", "north-2"], "south": ["south-1"]}
@@ -58,7 +58,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
         forked_workers(place, "tests.app.network_worker") as command,
         nodes_in(folder, command) as nodes,
     ):
-        patch.setattr(hub, "POLL_S", 0.1)
+        patch.setattr(hub, "POLL_S", POLL_S)
         for module in (local, network, far_cloud):
             patch.setattr(module, "worker_command", command)
         patch.setattr("radiant_app.run.stages.LocalExecutor", lambda **options: local.LocalExecutor(**{**options, "command": command}))

@@ -33,9 +33,8 @@ def render_open3d_splats(ply_path: Path, camera: Cameras, num_frames: int = 5) -
     """Frames (num_frames,H,W,3) over black of one of our own 3DGS PLYs, as Open3D reads and draws
     it for one camera.
 
-    Open3D's reader trusts a file's header: pass files that we wrote. Raises BadInput for another
-    number of cameras or a missing file, StageFailed when the process ends badly or takes longer
-    than two minutes.
+    Pass files that we wrote. Raises BadInput for another number of cameras or a missing file,
+    StageFailed when the process ends badly or takes longer than two minutes.
     """
     if len(camera) != 1:
         raise BadInput(f"{len(camera)} cameras came, expected one: choose it with Cameras.named.")

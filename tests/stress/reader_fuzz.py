@@ -251,7 +251,7 @@ def _toml(folder: Path) -> Target:
 
 
 def _spz(folder: Path) -> Target:
-    """SPZ itself, without the container whose hash would refuse every mutation: what a sender who signs can make Open3D read."""
+    """SPZ itself, without the container whose hash would refuse every mutation."""
     counts = (3, 40)
     seeds = [spz_bytes(ground_splats(count)) for count in counts]
     return Target(

@@ -28,7 +28,7 @@ from radiant_core.aggregate.ownership import Ownership
 from radiant_core.aggregate.retrain import retrain
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.seam_error import ground_places
+from radiant_core.evaluate.ground_places import ground_places
 from radiant_core.numerics import FloatArray, check_array
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views

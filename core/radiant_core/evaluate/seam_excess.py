@@ -27,8 +27,8 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
 from radiant_core.evaluate.borders import EdgeBorders, edge_owners
+from radiant_core.evaluate.ground_places import ground_places
 from radiant_core.evaluate.image_pair import Used
-from radiant_core.evaluate.seam_error import ground_places
 from radiant_core.plan.plans import CloudPlan
 
 if TYPE_CHECKING:

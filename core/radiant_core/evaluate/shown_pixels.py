@@ -13,7 +13,6 @@ import numpy as np
 import torch
 
 from radiant_core.cameras import Cameras
-from radiant_core.errors import BadInput
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import Backend, SplatTensors
@@ -48,12 +47,3 @@ def count_shown_photographs(splats: Splats, cameras: Cameras, backend: Backend =
     if len(rows):
         shares[rows] = count_shown_pixels(splats.select(rows), cameras, backend) / cameras.sizes_wh.prod(axis=1).max()
     return shares
-
-
-def select_strongest(splats: Splats, cameras: Cameras, count: int, backend: Backend = "auto") -> Splats:
-    """The `count` Gaussians that show most to the cameras, in their order; the model if smaller."""
-    if count < 1:
-        raise BadInput(f"{count} Gaussians are to be left, expected at least 1.")
-    if len(splats) <= count:
-        return splats
-    return splats.select(np.sort(np.argsort(-count_shown_pixels(splats, cameras, backend), kind="stable")[:count]))

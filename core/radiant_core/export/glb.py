@@ -2,7 +2,7 @@
 tile.
 
 One primitive of POINTS, of one of two forms, which no reader shares. CesiumJS 1.139 to 1.145 draws
-the second alone and stops with an error at the first.
+the second alone.
     plain  POSITION, and under the extension's name ROTATION (xyzw, of length 1), SCALE (standard
            deviations, linear: drafts before February 2026 had their logarithms), OPACITY (0 to 1)
            and SH_DEGREE_l_COEF_n
@@ -102,7 +102,7 @@ def _packed(form: TileContent, look: dict[str, Any], accessors: dict[str, Any], 
         "asset": {"version": "2.0", "generator": f"radiant {__version__}"},
         "extensionsUsed": EXTENSIONS[form],
         # Without the compression there is nothing to draw. Plain ones are points for a reader that
-        # does not know the extension; CesiumJS, which knows it, stops at them.
+        # does not know the extension.
         **({"extensionsRequired": EXTENSIONS[form]} if form == "spz" else {}),
         "scene": 0,
         "scenes": [{"nodes": [0]}],

@@ -92,7 +92,7 @@ def find_overlap(a_surface: FloatArray, a_cameras: Cameras, b_surface: FloatArra
     return Overlap(a_cameras=a_cameras.select(a_chosen), b_cameras=b_cameras.select(b_chosen), share=share)
 
 
-def match_models(a: Splats, b: Splats, overlap: Overlap, seed: int) -> PairFit | str:
+def match_models(a: Splats, b: Splats, overlap: Overlap, seed: int = 0) -> PairFit | str:
     """The similarity a ← b of two models in nearly one frame, or a clause on why there is none."""
     a, b = without_background(a, overlap.a_cameras), without_background(b, overlap.b_cameras)
     coarse = coarse_match(a, b, overlap, seed)

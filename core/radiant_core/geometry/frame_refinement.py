@@ -111,7 +111,7 @@ class _Pair:
         return self.b if model == self.a else self.a
 
 
-def refine_frames(models: Sequence[PlacedModel], report: Report | None = None, seed: int = 0) -> tuple[RefinedFrame, ...]:
+def refine_frames(models: Sequence[PlacedModel], report: Report | None = None) -> tuple[RefinedFrame, ...]:
     """What to do with each of the M models: their corrections, or why one must not be merged."""
     surfaces = [surface_points(model.splats, _largest_m(model.cameras))[0] for model in models]
     overlaps = _neighbours(models, surfaces)
@@ -119,7 +119,7 @@ def refine_frames(models: Sequence[PlacedModel], report: Report | None = None, s
     for num_done, ((a, b), overlap) in enumerate(overlaps.items()):
         if report is not None:
             report(num_done, len(overlaps), " and ".join(models[index].name or f"model {index + 1}" for index in (a, b)))
-        pairs.append(_fit_pair(models, surfaces, (a, b), overlap, seed))
+        pairs.append(_fit_pair(models, surfaces, (a, b), overlap))
     if report is not None:
         report(len(overlaps), len(overlaps), "all frames at once")
     centers = np.array([_middle(model) for model in models]).reshape(-1, 3)
@@ -155,9 +155,9 @@ def _neighbours(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray]) -
     return {pair: overlaps[pair] for pair in sorted(chosen)}
 
 
-def _fit_pair(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray], pair: tuple[int, int], overlap: Overlap, seed: int) -> _Pair:
+def _fit_pair(models: Sequence[PlacedModel], surfaces: Sequence[FloatArray], pair: tuple[int, int], overlap: Overlap) -> _Pair:
     a, b = pair
-    fit = match_models(models[a].splats, models[b].splats, overlap, seed)
+    fit = match_models(models[a].splats, models[b].splats, overlap)
     if isinstance(fit, str) and overlap.share >= EXPECTED_SHARE:
         a_points = surfaces[a][models[b].cameras.any_sees(surfaces[a])]
         b_points = surfaces[b][models[a].cameras.any_sees(surfaces[b])]

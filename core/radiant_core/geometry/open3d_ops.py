@@ -30,10 +30,10 @@ MIN_WEIGHT = 1.5
 """A voxel counts from two views on: what one view alone saw may be a floater."""
 BLOCK_VOXELS = 16
 MAX_BLOCKS = 160_000
-"""Open3D numbers the three colours of each voxel with 32 bits: 3 · 16³ · 174,763 is beyond."""
+"""The most that a fusion may take; coarser voxels need fewer."""
 BLOCKS_AT_ONCE = 8_192
-"""Open3D counts 16 bytes for each voxel of a mesh with 32 bits: from 32,768 blocks on it writes
-outside of its memory."""
+"""Of a mesh made in one call. Open3D 0.20 was seen to end the process over more, so larger ones are
+made in parts."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -95,8 +95,8 @@ def _most(segment: int) -> int:
 
 
 def _require_to_fit(page: TiffPage, path: Path) -> None:
-    """Raise BadInput where a part unpacks to more than it promises: the decoders of Python's own
-    libraries unpack all there is. Small parts cannot unpack to more than `MAX_SEGMENT_BYTES`."""
+    """Raise BadInput where a part unpacks to more than it promises, before anything decodes it.
+    Small parts cannot unpack to more than `MAX_SEGMENT_BYTES`."""
     packing, most = int(page.compression), _most(_segment_bytes(page))
     if packing == _ZSTD:
         raise BadInput(f"{path} is packed with Zstandard, which is not read here: write it with deflate.")

@@ -128,7 +128,7 @@ def _unpacked_bytes(path: Path) -> int:
 def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> FloatArray:
     """The finite numbers of `shape` under `key`."""
     stored_shape = tuple(getattr(loaded.get(key), "shape", shape))
-    # Before anything is converted: by its strides a small tensor holds billions of numbers.
+    # Before anything is converted, which takes as much memory as the shape says.
     if stored_shape != shape and (shape or any(side != 1 for side in stored_shape)):
         raise BadInput(f"{path}: {key!r} has shape {stored_shape}, expected {shape}.")
     try:
@@ -141,8 +141,7 @@ def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Pat
 
 
 def _of_shape(value: Any, shape: tuple[int, ...]) -> Any:
-    """A tensor, or nested lists after counting them: the same small list, named again and again,
-    unfolds to any size."""
+    """A tensor, or nested lists, each of which is counted before it is unfolded."""
     if not isinstance(value, list | tuple):
         return value
     if not shape or len(value) != shape[0]:

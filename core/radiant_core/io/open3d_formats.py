@@ -144,7 +144,7 @@ def splats_from_any_spz(data: bytes) -> Splats:
 
 
 def _require_spz(data: bytes, num_splats: int, sh_degree: int) -> None:
-    """Raise StoreDamaged unless header and table of streams fit: Open3D accepts any count."""
+    """Raise StoreDamaged unless header and table of streams fit the bytes, before Open3D reads."""
     per_splat = (9, 1, 3, 3, 4, *([3 * (SH_BASES[sh_degree] - 1)] if sh_degree else []))
     start = _SPZ_HEADER.size + _SPZ_STREAM.size * len(per_splat)
     if len(data) >= start:

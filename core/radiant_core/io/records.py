@@ -6,8 +6,6 @@ count from and how high they may be flown, and the groups of machines that train
 
     "heights_from": "takeoff"            # or a list, one a waypoint, where they differ
     "height_limits_m": [null, 150.0]     # left out: the usual ones
-
-Plans of earlier versions say `absolute` and `altitude_known` instead, of all waypoints together.
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ from radiant_core.plan.heights import HEIGHT_KINDS, USUAL_LIMIT_M, HeightLimits,
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.system import require_id
 from radiant_core.plan.together.groups import GroupLevel, GroupPlan
-from radiant_core.plan.waypoints import HIGHEST_FLIGHT_M, Waypoints
+from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.splats import TENSORS, Splats
 
@@ -61,24 +59,13 @@ def with_recorded_heights(waypoints: Waypoints, record: Mapping[str, Any]) -> Wa
         lowest_m, highest_m = limits
         waypoints = replace(waypoints, limits=HeightLimits(lowest_m=lowest_m, highest_m=USUAL_LIMIT_M if highest_m is None else highest_m))
     if HEIGHTS_FROM not in record:
-        return _of_earlier(waypoints, record)
+        raise BadInput(f"it has no {HEIGHTS_FROM}, so nothing says what its heights count from: plan again.")
     named = record[HEIGHTS_FROM]
     if isinstance(named, str):
         return replace(waypoints, counts_from=_kind(named))
     if not isinstance(named, list):
         raise BadInput(f"{HEIGHTS_FROM} is {str(named)[:40]}, expected one of {', '.join(HEIGHT_KINDS)}, or one a waypoint.")
     return replace(waypoints, counts_from=height_codes([_kind(name) for name in named]))
-
-
-def _of_earlier(waypoints: Waypoints, record: Mapping[str, Any]) -> Waypoints:
-    if record.get("altitude_known") is False:
-        if waypoints.ground_m is None:
-            return replace(waypoints, counts_from="unknown")
-        # Heights above the ground of a run whose altitudes counted from nothing.
-        places = waypoints.lat_lon_alt - np.array([0.0, 0.0, waypoints.ground_m])
-        return replace(waypoints, lat_lon_alt=places, ground_m=0.0)
-    absolute = record.get("absolute") is True or float(waypoints.lat_lon_alt[:, 2].max()) > HIGHEST_FLIGHT_M
-    return replace(waypoints, counts_from="absolute" if absolute or waypoints.ground_m else "takeoff")
 
 
 def _kind(name: Any) -> HeightFrom:

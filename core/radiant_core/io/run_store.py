@@ -32,8 +32,8 @@ LOCK_NAME = ".lock"
 MAX_JSON_BYTES = 64 * 2**20
 """Default limit of a JSON file: a plan of 100,000 cameras takes some 2 MB."""
 FULL_BYTES = 1 << 20
-"""With less than this left a disk counts as full: libraries that write there end their
-process, or half a file, without a word."""
+"""With less than this left a disk counts as full, so that we say it and no library that writes
+there has to."""
 _HALVES = re.compile(rb"(?i)\\ud[89a-f]|\xed[\xa0-\xbf]|\x00")
 """What a JSON text has where a value may hold half a character: its escape, or its bytes; or a NUL,
 as texts of 16 and 32 bits have."""

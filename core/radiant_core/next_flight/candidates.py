@@ -61,20 +61,32 @@ class FlightRules:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Air:
-    """Where a drone may be over facets: floor (H,W), the lowest safe height at each cell."""
+    """Where a drone may be over facets: floor (H,W), the lowest safe height at each cell, and
+    is_known (H,W), whether all of the surface within `safe` of it is."""
 
     facets: Facets
     rules: FlightRules
     floor: FloatArray
+    is_known: NDArray[np.bool_]
     land: shapely.Geometry = field(default_factory=shapely.Polygon)
     """All that is not flown over."""
 
     def floors_at(self, places: FloatArray) -> FloatArray:
         """Lowest safe heights (P,) at places (P,2 or 3), above the raster's cells and beyond."""
+        inside, rows, columns = self._cells(places)
+        return np.where(inside, self.floor[rows, columns], self.facets.highest + self.rules.safe)
+
+    def knows(self, places: FloatArray) -> NDArray[np.bool_]:
+        """Over which places (P,2 or 3) the floor is that of known surface alone."""
+        inside, rows, columns = self._cells(places)
+        return inside & self.is_known[rows, columns]
+
+    def _cells(self, places: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
+        """Which places are on the raster, and rows and columns (P,), 0 for others."""
         cells = np.floor(self.facets.surface.grid.cells_of(places[:, :2])).astype(np.int64)
         inside = np.asarray(((cells >= 0) & (cells < self.floor.shape)).all(axis=1))
-        there = np.where(inside[:, None], cells, 0)
-        return np.where(inside, self.floor[there[:, 0], there[:, 1]], self.facets.highest + self.rules.safe)
+        rows, columns = np.where(inside[:, None], cells, 0).T
+        return inside, rows, columns
 
     def is_safe(self, places: FloatArray) -> NDArray[np.bool_]:
         """Which places (P,3) may be flown to."""
@@ -97,7 +109,8 @@ def air_over(facets: Facets, rules: FlightRules) -> Air:
     dilated = cv2.dilate(padded, disc)[reach:-reach, reach:-reach].astype(np.float64)
     # float32 rounds: a floor may be higher, never lower.
     floor = dilated * (1 + 1e-6) + level + rules.safe
-    return Air(facets=facets, rules=rules, floor=floor, land=shapely.union_all(list(rules.no_fly)))
+    is_known = cv2.erode(np.isfinite(surface.heights).astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    return Air(facets=facets, rules=rules, floor=floor, is_known=is_known, land=shapely.union_all(list(rules.no_fly)))
 
 
 def usual_take_off(facets: Facets) -> float:

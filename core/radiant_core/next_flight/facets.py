@@ -26,6 +26,8 @@ STEP_CELLS = 1.5
 TOLERANCE_CELLS = 0.25
 LIFT_CELLS = 0.6
 """How far before its facet a ray begins, so that the facet's cell does not block it."""
+DROPPED_SHARE = 0.2
+"""Rays that are blocked are dropped once they are such a share of those that go on."""
 Rows = NDArray[np.int64]
 
 
@@ -64,10 +66,15 @@ class Facets:
         """The highest known height."""
         return float(np.nanmax(self.surface.heights))
 
+    @cached_property
+    def _ringed(self) -> FloatArray:
+        """The heights within a ring of cells (H+2,W+2) that are not known."""
+        return np.pad(self.surface.heights, 1, constant_values=np.nan)
+
     def seen_from(self, eye: FloatArray, rows: Rows) -> NDArray[np.bool_]:
         """Which facets (R,), of `rows`, no other surface hides from an eye (3,) on the map; whether
         they face it does not count."""
-        cell, heights = self.surface.grid.cell, self.surface.heights
+        grid, cell = self.surface.grid, self.surface.grid.cell
         start = self.places[rows] + LIFT_CELLS * cell * self.normals[rows]
         ahead = eye - start
         level = np.maximum(np.linalg.norm(ahead[:, :2], axis=1), 1e-9 * cell)
@@ -75,21 +82,27 @@ class Facets:
         # A ray above everything, or at its eye, meets nothing any more.
         climb = np.where(rise > 0, (self.highest - start[:, 2]) / np.maximum(rise, 1e-12), np.inf)
         ends = np.floor(np.minimum(level, climb) / cell)
-        step = np.column_stack([ahead[:, :2] / level[:, None], rise]) * cell
-        visible, going = np.ones(len(rows), bool), np.flatnonzero(ends >= 1)
-        at = start.copy()
-        for number in range(1, int(ends.max(initial=0)) + 1):
-            going = going[ends[going] >= number]
-            at[going] += step[going]
-            cells = np.floor(self.surface.grid.cells_of(at[going, :2])).astype(np.int64)
-            inside = np.asarray(((cells >= 0) & (cells < heights.shape)).all(axis=1))
-            there = np.where(inside[:, None], cells, 0)
-            # NaN, where nothing is known, compares as false.
-            is_hit = inside & (heights[there[:, 0], there[:, 1]] > at[going, 2] + TOLERANCE_CELLS * cell)
-            visible[going[is_hit]] = False
-            going = going[~is_hit]
-            if not len(going):
+        visible = np.ones(len(rows), bool)
+        # The longest rays first: those that go on are a beginning of all, which needs no copies.
+        going = np.flatnonzero(ends >= 1)
+        going = going[np.argsort(-ends[going])]
+        step = (np.column_stack([ahead[:, :2] / level[:, None], rise]) * cell)[going].T.copy()
+        at, last, is_hit = start[going].T.copy(), -ends[going], np.zeros(len(going), bool)
+        for number in range(1, int(-last.min(initial=0)) + 1):
+            count = int(np.searchsorted(last, -number, side="right"))
+            if not count:
                 break
+            at[:, :count] += step[:, :count]
+            x, y, z = at[:, :count]
+            row = np.clip(np.floor((grid.north_west[1] - y) / cell), -1, grid.rows).astype(np.int64)
+            column = np.clip(np.floor((x - grid.north_west[0]) / cell), -1, grid.columns).astype(np.int64)
+            # NaN, where nothing is known, compares as false.
+            is_hit[:count] |= self._ringed[row + 1, column + 1] > z + TOLERANCE_CELLS * cell
+            if np.count_nonzero(is_hit[:count]) > DROPPED_SHARE * count:
+                visible[going[is_hit]] = False
+                going, at, step, last = going[~is_hit], at[:, ~is_hit], step[:, ~is_hit], last[~is_hit]
+                is_hit = np.zeros(len(going), bool)
+        visible[going[is_hit]] = False
         return visible
 
 

@@ -85,6 +85,11 @@ def safe_way(air: Air, places: FloatArray) -> tuple[FloatArray, NDArray[np.int64
     return np.array(way), np.array(owner, np.int64)
 
 
+def length_near_unknown(air: Air, way: FloatArray) -> float:
+    """How much of a way (Q,3) is within the safe distance of land that is not known."""
+    return sum(float(np.linalg.norm(end - start)) * float((~air.knows(_along(air, start, end))).mean()) for start, end in pairwise(way))
+
+
 def _between(air: Air, start: FloatArray, end: FloatArray) -> list[FloatArray]:
     """What is passed on the way between two safe places."""
     line = shapely.LineString([start[:2], end[:2]])

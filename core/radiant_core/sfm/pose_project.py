@@ -69,10 +69,10 @@ class PosedProject:
         return {view.name: lenses[view.lens_id] for view in self.alignment.views if lenses[view.lens_id].camera(1) is None}
 
 
-def read_project(path: Path, photos: Path, *, rough: bool = False) -> PosedProject:
+def read_project(path: Path, photos: Path) -> PosedProject:
     """The alignment in `path` of the photographs in `photos`, checked. Raises BadInput where it
-    cannot be read, is of other photographs, or does not fit them; `rough`: as `check_poses`."""
-    return placed_project(read_named(path, photos), photos, rough=rough)
+    cannot be read, is of other photographs, or does not fit them."""
+    return placed_project(read_named(path, photos), photos)
 
 
 def read_named(path: Path, photos: Path) -> PoseFile:

@@ -43,7 +43,7 @@ class DateFit:
     residual: float
 
 
-def fit_dates(older: tuple[Splats, Cameras, Frame], newer: tuple[Splats, Cameras, Frame], seed: int = 0) -> DateFit:
+def fit_dates(older: tuple[Splats, Cameras, Frame], newer: tuple[Splats, Cameras, Frame]) -> DateFit:
     """The frame of a newer model on an older one's, each with cameras and frame.
 
     Raises BadInput where they share no ground or too little of it looks alike.
@@ -54,7 +54,7 @@ def fit_dates(older: tuple[Splats, Cameras, Frame], newer: tuple[Splats, Cameras
     overlap = find_overlap(surfaces[0], older[1], surfaces[1], cameras)
     if overlap is None:
         raise BadInput("the two runs share no ground: their cameras do not see each other's surface; give two runs of one place.")
-    fit = match_models(older[0], splats, overlap, seed)
+    fit = match_models(older[0], splats, overlap)
     if not isinstance(fit, PairFit):
         raise BadInput(f"the two runs cannot be aligned: {fit}; give two runs of one place, from like heights and in like light.")
     shift = fit.a_from_b.apply(fit.center[None])[0] - fit.center

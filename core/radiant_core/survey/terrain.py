@@ -32,8 +32,8 @@ MIN_LINE_CELLS = 8
 """Shorter closed lines are stones and noise."""
 
 
-def terrain(surface: HeightMap, gsd: float, max_object: float = MAX_OBJECT) -> HeightMap:
-    """The ground of a surface: objects narrower than `max_object` are taken out and filled, marked
+def terrain(surface: HeightMap, gsd: float) -> HeightMap:
+    """The ground of a surface: objects narrower than `MAX_OBJECT` are taken out and filled, marked
     as filled. Raises BadInput where nothing is known."""
     is_known = surface.source != UNKNOWN
     if not is_known.any():
@@ -43,7 +43,7 @@ def terrain(surface: HeightMap, gsd: float, max_object: float = MAX_OBJECT) -> H
     cell = surface.grid.cell
     objects = np.zeros(is_known.shape, bool)
     ground = whole
-    radii = np.unique(np.rint(np.geomspace(1, max(2.0, max_object / 2 / cell), NUM_RADII)).astype(int))
+    radii = np.unique(np.rint(np.geomspace(1, max(2.0, MAX_OBJECT / 2 / cell), NUM_RADII)).astype(int))
     for before, radius in zip([0, *radii[:-1]], radii, strict=True):
         opened = _opened(ground, int(radius))
         # What this opening alone may lower: a slope over the growth of the square.
@@ -58,7 +58,7 @@ def terrain(surface: HeightMap, gsd: float, max_object: float = MAX_OBJECT) -> H
     )
     # Whatever was filled before is as good a support as any: it is a mean of measured cells.
     support = replace(bare, source=np.where(bare.source == FILLED, 1, bare.source).astype(np.uint8))
-    closed = filled(support, is_known, int(np.ceil(max_object / cell)))
+    closed = filled(support, is_known, int(np.ceil(MAX_OBJECT / cell)))
     return replace(closed, source=np.where((bare.source == FILLED) & ~objects, FILLED, closed.source).astype(np.uint8))
 
 

@@ -83,8 +83,8 @@ def _warn_of_form(form: TileContent, splats: Splats, display: ProgressDisplay) -
 
     if form == "plain":
         message = (
-            "CesiumJS (1.139 to 1.145) stops at plain tiles with an error and draws nothing more: they are for readers of glTF's extension "
-            "itself, such as three.js; --tiles spz is what CesiumJS draws."
+            "CesiumJS (1.139 to 1.145) does not draw plain tiles: they are for readers of glTF's extension itself, such as three.js; "
+            "--tiles spz is what CesiumJS draws."
         )
         display(Warned(stage="export", message=message))
         return

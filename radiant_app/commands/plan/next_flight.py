@@ -37,7 +37,7 @@ from radiant_core.next_flight.candidates import Air, Candidates, FlightRules, ai
 from radiant_core.next_flight.choosing import COMPARED_FACETS, Chosen, choose_views
 from radiant_core.next_flight.facets import Facets
 from radiant_core.next_flight.sightings import Sights, known_by
-from radiant_core.next_flight.way import safe_way, shortest_order
+from radiant_core.next_flight.way import length_near_unknown, safe_way, shortest_order
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.flight.figures import CLIMB_M_PER_S, Drone, flight_figures
@@ -172,6 +172,7 @@ def _propose(
         raise BadInput("no safe view adds anything to what is known: nothing is to be flown.")
     flights = _within_batteries(request, system, air, candidates, chosen, known_map)
     _tell(request, candidates, flights, display)
+    _warn_of_unknown(air, candidates, flights, known_map.survey.run.unit, display)
     return _Proposal(known_map=known_map, air=air, candidates=candidates, flights=flights)
 
 
@@ -263,6 +264,16 @@ def _tell(request: NextFlightRequest, candidates: Candidates, flights: Sequence[
     display(Decided(decision=decision))
 
 
+def _warn_of_unknown(air: Air, candidates: Candidates, flights: Sequence[_Flight], unit: str, display: ProgressDisplay) -> None:
+    """Say how much of the flights is over land that the model does not show."""
+    rows = [view.row for flight in flights for view in flight.views]
+    num_unknown = int((~air.knows(candidates.places[rows])).sum())
+    length = sum(length_near_unknown(air, flight.way) for flight in flights)
+    if length or num_unknown:
+        seen = f"{num_unknown} of {len(rows)} views and {length:.0f} {unit} of the way are near land that the model does not show"
+        display(Warned(stage=STAGE, message=f"{seen}: its highest height counts there. Look for what is taller before flying."))
+
+
 def _write_flights(request: NextFlightRequest, proposal: _Proposal, display: ProgressDisplay) -> dict[str, Any]:
     survey, take_off = proposal.known_map.survey, proposal.air.rules.take_off
     features: list[dict[str, Any]] = []
@@ -272,7 +283,7 @@ def _write_flights(request: NextFlightRequest, proposal: _Proposal, display: Pro
             heading, pitch = proposal.candidates.heading_pitch_deg[view.row].tolist()
             about = {"device": flight.device, "number": number, "heading": heading, "pitch": pitch, "reason": view.reason(survey.run.unit)}
             place = proposal.candidates.places[view.row]
-            height = {"height_above_take_off": round(float(place[2] - take_off), 2)}
+            height = {"height_above_take_off": round(float(place[2] - take_off), 2), "over_known": bool(proposal.air.knows(place[None])[0])}
             features.append(point_feature(survey.map_frame, place, {"name": _name(flight, number), **about, **height}))
     write_json(request.out / "next.geojson", to_geojson(survey.map_frame, features, {"take_off": round(take_off, 3)}))
     if survey.run.scene.frame.kind == "metric":

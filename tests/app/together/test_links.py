@@ -120,7 +120,6 @@ def test_first_parts_that_are_filled_up_carry_the_same(
 
 
 def test_half_a_message_of_a_killed_child_is_given_up_at_once(start: Start, linked: Callable[..., ParentLinks]) -> None:
-    """gloo itself says nothing of it until the limit (`findings/gloo_half_a_message.sh`)."""
     names = [f"victim {number}" for number in range(20)]
     for name in names:
         victim = start("send big", name)

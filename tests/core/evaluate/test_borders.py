@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import shapely
 
+from benchmarks.methods.device_borders import DeviceBorders
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.borders import DeviceBorders, EdgeBorders
+from radiant_core.evaluate.borders import EdgeBorders
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.power_diagram import clip_polygon
 

@@ -170,7 +170,7 @@ def test_weights_of_another_network_or_damaged_ones_are_refused(spoil: Callable[
     assert "\n" not in str(raised.value)
 
 
-class _Bomb:
+class _MakesFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
 
@@ -181,10 +181,10 @@ class _Bomb:
 @pytest.mark.parametrize("old", [False, True])
 def test_a_pickle_that_would_run_code_is_refused_and_does_not_run(old: bool, tmp_path: Path) -> None:
     backbone, heads = made_up("alex")
-    folder = write_folder(tmp_path / "w", "alex", backbone, {**heads, "extra": _Bomb(tmp_path / "ran")}, old=old)
+    folder = write_folder(tmp_path / "w", "alex", backbone, {**heads, "extra": _MakesFolder(tmp_path / "ran")}, old=old)
     with pytest.raises(BadInput, match="cannot read"):
         load_lpips(folder, "alex")
-    (folder / "alex.pth").write_bytes(pickle.dumps(_Bomb(tmp_path / "ran")))
+    (folder / "alex.pth").write_bytes(pickle.dumps(_MakesFolder(tmp_path / "ran")))
     with pytest.raises(BadInput, match="cannot read"):
         load_lpips(folder, "alex")
     assert not (tmp_path / "ran").exists()

@@ -25,7 +25,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats
 from radiant_core.train.config import train_preset, with_settings, without_mean
 from radiant_core.train.views import TrainingViews
-from tests.core.evaluate.test_seam_error import plan_of
+from tests.bench.test_seam_error import plan_of
 from tests.core.scenes import cameras_above, ground_splats
 
 SITES = np.array([[-3.0, 0.0], [3.0, 0.0]])

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.methods.arms import select_strongest
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.shown_pixels import count_shown_pixels, select_strongest
+from radiant_core.evaluate.shown_pixels import count_shown_pixels
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 

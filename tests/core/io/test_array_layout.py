@@ -78,7 +78,7 @@ def test_every_type_has_its_width(tmp_path: Path, dtype: str, item_bytes: int) -
         ({"a": A, "b": {**B, "shape": [4.0]}}, MISFIT),
         ({"a": A, "b": {**B, "shape": [True, 4]}}, MISFIT),
         ({"a": A, "b": {**B, "shape": [-2, -2]}}, MISFIT),
-        ({"a": A, "b": {**B, "shape": [2**63, 0], "data_offsets": [24, 24]}}, MISFIT),
+        ({"a": A, "b": {**B, "shape": [0, 4]}}, MISFIT),
         ({"a": A, "b": {**B, "data_offsets": [24, 28, 28]}}, MISFIT),
         ({"a": A, "b": {**B, "data_offsets": [28, 24]}}, MISFIT),
         ({"a": A, "b": {**B, "data_offsets": [20, 24]}}, "leave a gap or overlap at byte 24"),

@@ -160,9 +160,8 @@ def test_a_damaged_file_is_read_or_refused_with_its_name_and_nothing_else(
 
 
 @pytest.mark.parametrize("stem", STEMS)
-@pytest.mark.parametrize("count", [1 << 63, 1 << 40, (1 << 64) - 1])
-def test_a_count_of_billions_is_refused_before_memory_is_taken(stem: str, count: int, binary_model: Path, tmp_path: Path) -> None:
-    folder = copied(binary_model, tmp_path / "huge")
+def test_a_count_beyond_the_file_is_refused_before_memory_is_taken(stem: str, binary_model: Path, tmp_path: Path) -> None:
+    folder, count = copied(binary_model, tmp_path / "counted"), 10_000_000
     path = folder / f"{stem}.bin"
     path.write_bytes(struct.pack("<Q", count) + path.read_bytes()[8:])
     tracemalloc.start()
@@ -170,7 +169,7 @@ def test_a_count_of_billions_is_refused_before_memory_is_taken(stem: str, count:
         with pytest.raises(BadInput, match=rf"{stem}.bin at byte 8: {count}"):
             read_model(folder)
         # Python's own tables (interned strings) grow by megabytes at a time, whoever is running;
-        # the promised records would be terabytes.
+        # the promised records would be hundreds of megabytes.
         assert tracemalloc.get_traced_memory()[1] < 64e6
     finally:
         tracemalloc.stop()

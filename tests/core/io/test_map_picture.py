@@ -101,13 +101,13 @@ def test_parts_that_unpack_to_more_than_they_promise_are_refused(
     monkeypatch.setattr("tifffile.TiffPage.segments", lambda _: pytest.fail("it was unpacked"))
     values = np.zeros((90, 120, 3), np.uint8)
     tifffile.imwrite(tmp_path / "a.tif", values, photometric="rgb", rowsperstrip=90, compression=packing, extratags=PLACE)
-    bomb = pack(bytes(8 << 20))
-    assert len(bomb) < 2 * values.size
+    more = pack(bytes(8 << 20))
+    assert len(more) < 2 * values.size
     with tifffile.TiffFile(tmp_path / "a.tif", mode="r+b") as file:
         page, end = file.pages[0], file.filehandle.seek(0, 2)
-        file.filehandle.write(bomb)
+        file.filehandle.write(more)
         assert isinstance(page, tifffile.TiffPage)
         page.tags["StripOffsets"].overwrite([end])
-        page.tags["StripByteCounts"].overwrite([len(bomb)])
+        page.tags["StripByteCounts"].overwrite([len(more)])
     with pytest.raises(BadInput, match="unpacks to more than the 32,400 bytes"):
         load_map_picture(tmp_path / "a.tif", 100)

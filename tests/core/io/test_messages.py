@@ -275,7 +275,7 @@ def test_a_scene_travels_as_a_file_beside_its_task(tmp_path: Path) -> None:
         load_task(DeviceTask, tmp_path)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "1", '{"a": 1, "a": 1}', '{"a": NaN}', '{"a": 1e999}', "[" * 100_000, "\xff"])
+@pytest.mark.parametrize("text", ["", "{", "[]", "1", '{"a": 1, "a": 1}', '{"a": NaN}', '{"a": 1e999}', "[" * 2000, "\xff"])
 def test_a_file_that_is_no_task_is_one_sentence(text: str, tmp_path: Path) -> None:
     (tmp_path / TASK_NAME).write_bytes(text.encode("latin-1"))
     with pytest.raises(BadInput) as caught:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from typing import NoReturn
 from zipfile import ZIP_DEFLATED, ZipFile
 
 import cv2
@@ -13,6 +14,7 @@ import torch
 
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io import mill19
 from radiant_core.io.mill19 import given_from_scene, images_without_pose, read_mill19
 
 SIZE_WH = (64, 48)
@@ -98,7 +100,7 @@ def test_poses_are_rotations_to_the_last_digit_though_files_hold_float32(folder:
     assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-14
 
 
-class Evil:
+class _TouchesFile:
     def __init__(self, path: Path) -> None:
         self.path = path
 
@@ -107,7 +109,7 @@ class Evil:
 
 
 def test_a_file_that_would_run_code_is_refused_and_does_not(folder: Path) -> None:
-    save({"W": Evil(folder / "code-ran")}, folder / "train" / "metadata" / "000000.pt")
+    save({"W": _TouchesFile(folder / "code-ran")}, folder / "train" / "metadata" / "000000.pt")
     with pytest.raises(BadInput, match=r"000000\.pt is no readable \.pt file"):
         read_mill19(folder)
     assert not (folder / "code-ran").exists()
@@ -130,18 +132,22 @@ def test_values_that_make_no_camera_are_named(folder: Path, change: dict, told: 
         read_mill19(folder)
 
 
-def test_a_small_file_takes_no_more_room_than_a_camera_needs(folder: Path) -> None:
-    endless = torch.ones(1).expand(4 * 10**9)  # 32 GB as real numbers, 1.9 kB as a file
-    save({"origin_drb": torch.zeros(3), "pose_scale_factor": endless}, folder / "coordinates.pt")
-    assert (folder / "coordinates.pt").stat().st_size < 4000
-    with pytest.raises(BadInput, match=r"coordinates\.pt: 'pose_scale_factor' has shape \(4000000000,\), expected \(\)"):
-        read_mill19(folder)
-    nested: object = 1.0
-    for _ in range(12):
-        nested = [nested] * 30  # 30¹² numbers, 360 references
-    save({"origin_drb": torch.zeros(3), "pose_scale_factor": nested}, folder / "coordinates.pt")
+class _NeverUnfolded(list):
+    def __iter__(self) -> NoReturn:
+        pytest.fail("it was unfolded")
+
+
+def test_shapes_and_lists_are_counted_before_they_become_numbers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "asarray", lambda *_, **__: pytest.fail("it was converted"))
+        with pytest.raises(BadInput, match=r"'a' has shape \(7,\), expected \(\)"):
+            mill19._numbers({"a": torch.ones(7)}, "a", (), folder)
+    save({"origin_drb": torch.zeros(3), "pose_scale_factor": [[1.0, 2.0], [3.0, 4.0]]}, folder / "coordinates.pt")
     with pytest.raises(BadInput, match=r"coordinates\.pt has no numbers under 'pose_scale_factor'"):
         read_mill19(folder)
+    for shape in ((), (2,)):
+        with pytest.raises(ValueError, match=r"^$"):
+            mill19._of_shape(_NeverUnfolded([1.0, 2.0, 3.0]), shape)
 
 
 def test_a_deflated_file_is_counted_unpacked(folder: Path) -> None:

@@ -134,7 +134,7 @@ def test_json_refuses_what_it_cannot_keep(tmp_path: Path, value: Any) -> None:
         b"[-Infinity]",
         b'{"a":1,"a":2}',
         b"\xff\xfe\xff",
-        b"[" * 200_000,
+        b"[" * 2000,
         b"1" * 5000,
         b'{"a": 1} x',
         # Half a character, in its escape, its bytes and in 16 bits: no file of ours could hold it.

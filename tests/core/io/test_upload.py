@@ -261,11 +261,11 @@ def test_spz_that_lies_about_its_sizes_never_reaches_open3d(tmp_path: Path) -> N
     save_upload(tmp_path / "upload", trained_like(20), "spz")
     data = load_file(tmp_path / "upload")["spz"].tobytes()
     assert len(splats_from_spz(data, 20, 1)) == 20
-    huge = bytearray(data)
-    struct.pack_into("<I", huge, 8, 10**9)  # the count of Gaussians in the header
+    count = bytearray(data)
+    struct.pack_into("<I", count, 8, 21)  # Gaussians by the header
     stream = bytearray(data)
-    struct.pack_into("<Q", stream, 40, 10**12)  # the unpacked size of the first stream
-    for wrong in (b"", data[:20], data[:-1], data + b"x", bytes(huge), bytes(stream), b"PLY " + data[4:]):
+    struct.pack_into("<Q", stream, 40, 20 * 9 + 1)  # the unpacked size of the first stream
+    for wrong in (b"", data[:20], data[:-1], data + b"x", bytes(count), bytes(stream), b"PLY " + data[4:]):
         with pytest.raises(StoreDamaged, match="no SPZ of version 4 with 20 Gaussians"):
             splats_from_spz(wrong, 20, 1)
     with pytest.raises(StoreDamaged, match="10 Gaussians of degree 1"):

@@ -24,7 +24,7 @@ def point(coordinates: str) -> str:
 
 GEOJSON_POISON = [
     ("{", "not valid JSON"),
-    ("[" * 100_000, "not valid JSON"),
+    ("[" * 2000, "not valid JSON"),
     ("[]", "no GeoJSON"),
     ("{}", "no GeoJSON"),
     ('{"type": "FeatureCollection"}', 'without a list "features"'),
@@ -55,7 +55,7 @@ LAUGHS = '<!DOCTYPE x [<!ENTITY a "ha"><!ENTITY b "&a;&a;">]>' + point("8,47").r
 KML_POISON = [
     (LAUGHS, "declares a document type"),
     (LAUGHS.encode("utf-16"), "declares a document type"),
-    ('<!DOCTYPE kml SYSTEM "file:///etc/passwd">' + point("8,47"), "declares a document type"),
+    ('<!DOCTYPE kml SYSTEM "a.dtd">' + point("8,47"), "declares a document type"),
     ("<kml>", "not valid XML"),
     ("kml", "not valid XML"),
     (point("8,47") + "<kml/>", "not valid XML"),
@@ -187,7 +187,7 @@ def test_kml_says_its_encoding_in_vain_once_it_is_decoded(tmp_path: Path) -> Non
 
 
 def test_a_very_deep_kml_ends(tmp_path: Path) -> None:
-    deep = "<a>" * 100_000 + "</a>" * 100_000
+    deep = "<a>" * 2000 + "</a>" * 2000
     with pytest.raises(BadInput, match="no waypoint"):
         read_waypoints(written(tmp_path, "a.kml", kml(deep)))
 

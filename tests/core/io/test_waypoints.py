@@ -27,16 +27,16 @@ def test_every_format_and_mark_gives_the_same_waypoints(tmp_path: Path, suffix: 
 
 
 def test_what_is_no_waypoint_file_is_refused(tmp_path: Path) -> None:
-    huge = tmp_path / "huge.csv"
-    with huge.open("wb") as file:
-        file.truncate(10**9)  # sparse: nothing is stored, and nothing is read
+    large = tmp_path / "large.csv"
+    with large.open("wb") as file:
+        file.truncate(MAX_FILE_BYTES + 1)  # sparse: nothing is stored, and nothing is read
     os.mkfifo(tmp_path / "pipe.csv")
     cases = [
         (tmp_path / "none.csv", "No such file"),
         (written(tmp_path, "a.kmz", b"PK"), "unzip it"),
         (written(tmp_path, "a.txt", csv_text()), "must end in .csv"),
         (tmp_path / "pipe.csv", "not a file"),
-        (huge, f"1000000000 bytes, expected at most {MAX_FILE_BYTES}"),
+        (large, f"{MAX_FILE_BYTES + 1} bytes, expected at most {MAX_FILE_BYTES}"),
     ]
     (tmp_path / "folder.csv").mkdir()
     for path, told in [*cases, (tmp_path / "folder.csv", "Is a directory")]:
@@ -126,7 +126,7 @@ def test_photographs_without_gps_are_named_and_only_heads_are_read(tmp_path: Pat
     # Cut behind its EXIF: not noticed, no pixel is decoded.
     (tmp_path / "d.JPG").write_bytes(photos[2].read_bytes()[:40_000])
     with (tmp_path / "d.JPG").open("ab") as file:
-        file.truncate(10**9)
+        file.truncate(MAX_FILE_BYTES + 1)
     (tmp_path / "notes.txt").write_text("x")
     seen: list[tuple[int, int]] = []
     found = exif_waypoints(tmp_path, lambda done, total: seen.append((done, total)))

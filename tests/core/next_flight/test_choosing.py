@@ -12,7 +12,7 @@ from radiant_core.errors import BadInput
 from radiant_core.next_flight.candidates import FlightRules, air_over, candidate_views, usual_take_off
 from radiant_core.next_flight.choosing import Coverage, choose_views
 from radiant_core.next_flight.sightings import Knowledge, Sights, known_by
-from radiant_core.next_flight.way import safe_way, shortest_order
+from radiant_core.next_flight.way import length_near_unknown, safe_way, shortest_order
 from tests.core.next_flight.block import FRAME, LENS, block_facets, block_sights, looks
 
 RULES = FlightRules(safe=3.0, take_off=0.0, lowest=2.0, highest=60.0)
@@ -114,6 +114,15 @@ def test_a_way_keeps_its_distance_and_goes_around_forbidden_land() -> None:
         away = np.linalg.norm(points[:, None] - facets.places[None], axis=2)
         assert away.min() >= 3.0
         assert not shapely.intersects(land, shapely.LineString([start[:2], end[:2]]))
+
+
+def test_land_is_known_where_all_within_the_safe_distance_is() -> None:
+    air = air_over(block_facets(0.5), RULES)
+    # The ground ends at 20 m; a cell's corners count, so that up to two cells more are doubted.
+    places = np.array([[0.0, 0.0, 20.0], [15.5, 3.0, 20.0], [17.2, 3.0, 20.0], [0.0, -17.5, 20.0], [90.0, 0.0, 20.0]])
+    assert air.knows(places).tolist() == [True, True, False, False, False]
+    assert length_near_unknown(air, np.array([[-10.0, 0.0, 20.0], [10.0, 0.0, 20.0]])) == 0.0
+    assert length_near_unknown(air, np.array([[0.0, 0.0, 20.0], [40.0, 0.0, 20.0]])) == pytest.approx(24.0, abs=0.8)
 
 
 def test_a_leg_beyond_the_highest_is_refused() -> None:

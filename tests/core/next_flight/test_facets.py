@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.next_flight.facets import facets_of
-from radiant_core.survey.heights import HeightMap
+from radiant_core.next_flight.facets import LIFT_CELLS, TOLERANCE_CELLS, Facets, facets_of
+from radiant_core.numerics import FloatArray
+from radiant_core.survey.heights import MEASURED, UNKNOWN, HeightMap
 from radiant_core.survey.map_grid import MapGrid
 from tests.core.next_flight.block import HEIGHT, SIDE, block_facets
 
@@ -44,6 +45,37 @@ def test_a_block_hides_what_a_ray_through_it_says(eye: tuple[float, float, float
     # Steps of a cell graze edges within a cell: a facet in twenty lies there.
     assert (seen == expected)[faced].mean() > 0.95
     assert 0 < expected[faced].mean() <= 1
+
+
+@pytest.mark.parametrize("eye", [(31.0, 3.0, 9.0), (-2.0, -3.0, 7.0), (10.3, 17.1, 90.0), (-300.0, 40.0, 12.0)])
+def test_rays_followed_together_say_what_each_alone_says(eye: tuple[float, float, float]) -> None:
+    rng = np.random.default_rng(5)
+    grid = MapGrid(north_west=np.array([-12.0, 15.0]), cell=0.7, rows=43, columns=35, epsg=None)
+    towers = np.where(rng.random((15, 12)) < 0.2, rng.uniform(2, 9, (15, 12)), 0.0)
+    heights = np.kron(towers, np.ones((3, 3)))[: grid.rows, : grid.columns] + rng.uniform(0, 0.3, grid.shape)
+    source = np.full(grid.shape, MEASURED, np.uint8)
+    source[5:12, 20:28] = UNKNOWN
+    facets = facets_of(HeightMap(grid=grid, heights=heights, sigma=np.ones(grid.shape, np.float32), source=source))
+    rows = rng.permutation(len(facets))[:700]
+    seen = facets.seen_from(np.array(eye), rows)
+    assert seen.tolist() == [_seen_alone(facets, np.array(eye), row) for row in rows.tolist()]
+    assert 35 < seen.sum() < 665
+    assert facets.seen_from(np.array(eye), rows[:0]).shape == (0,)
+
+
+def _seen_alone(facets: Facets, eye: FloatArray, row: int) -> bool:
+    """One ray, from cell to cell."""
+    grid, heights = facets.surface.grid, facets.surface.heights
+    at = facets.places[row] + LIFT_CELLS * grid.cell * facets.normals[row]
+    ahead = eye - at
+    level = np.hypot(*ahead[:2])
+    step = ahead / level * grid.cell
+    for _ in range(int(level / grid.cell)):
+        at = at + step
+        line, column = np.floor(grid.cells_of(at[None, :2])[0]).astype(int)
+        if 0 <= line < grid.rows and 0 <= column < grid.columns and heights[line, column] > at[2] + TOLERANCE_CELLS * grid.cell:
+            return False
+    return True
 
 
 def test_without_heights_there_are_no_facets() -> None:

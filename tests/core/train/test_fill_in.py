@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from scipy.spatial import KDTree
 
 from radiant_core.cameras import Cameras
 from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.fill_in import NO_POINTS, contradicted_share, fill_in_points
+from radiant_core.train.fill_in import DEPTH_REACH_CELLS, NO_POINTS, contradicted_share, fill_in_points
 from radiant_core.train.initialize import first_splats
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above
@@ -128,6 +130,19 @@ def test_a_gap_in_a_wall_is_filled_in_the_wall_and_one_in_the_ground_in_the_grou
     assert ground.rule == "height"
 
 
+def test_by_depth_only_cells_near_an_observed_point_are_filled() -> None:
+    """A gap 5 cells wide in the wall: its middle stays empty, and with a longer reach it is filled."""
+    scene, views = wall_with_a_gap()
+    cell_m = 4 * 4.0 / 80
+    distances, _ = KDTree(scene.points).query(fill_in_points(scene, views).points)
+    # Cameras 0.3 m aside see a cell's middle and an observed point as far apart as they are in the wall.
+    assert distances.max() < DEPTH_REACH_CELLS * cell_m + 1e-6
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("radiant_core.train.fill_in.DEPTH_REACH_CELLS", 9.0)
+        distances, _ = KDTree(scene.points).query(fill_in_points(scene, views).points)
+        assert distances.max() > 2 * cell_m
+
+
 def test_of_few_observed_points_none_is_asked() -> None:
     scene, views = wall_with_a_gap()
     few = replace(scene, observations=scene.observations[scene.observations[:, 0] < 10])
@@ -154,13 +169,17 @@ def ring_of_cameras(num_views: int) -> Cameras:
 
 
 def ball_before_a_wall() -> tuple[SfmScene, TrainingViews]:
-    """A ball of 0.8 m that eight cameras see from all sides, and nothing of what is behind it."""
+    """A ball of 0.8 m that eight cameras see from all sides, a ring of the ground around it, and
+    nothing of what is behind them."""
     rng, cameras = np.random.default_rng(0), ring_of_cameras(8)
     normals = rng.normal(size=(1_500, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = 0.8 * normals + np.array([0, 0, 0.8])
     toward = cameras.centers[None] - points[:, None]
     facing = np.einsum("pc,pvc->pv", normals, toward) > 0
+    angles, radii = rng.uniform(0, 2 * np.pi, 900), rng.uniform(2.6, 3.4, 900)
+    points = np.concatenate([points, np.column_stack([radii * np.cos(angles), radii * np.sin(angles), np.zeros(900)])])
+    facing = np.concatenate([facing, np.array([cameras.select([view]).any_sees(points[1_500:]) for view in range(8)]).T])
     frame = Frame(kind="metric", origin_lat_lon_alt=np.zeros(3))
     colors = np.full((len(points), 3), 99, np.uint8)
     scene = SfmScene(cameras=cameras, points=points, colors=colors, observations=np.argwhere(facing), frame=frame)

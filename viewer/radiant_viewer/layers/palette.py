@@ -8,7 +8,6 @@ with no less contrast to white and to a dark view than 3 : 1 or theirs, less 0.0
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,23 +26,6 @@ CIELAB, all by 27; to protanopes all by 25."""
 
 CURVE_COLORS = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, BLACK)
 """Colours of curves, in order: yellow is too faint for a thin line on white."""
-DASHES = ("-", "--", ":", "-.")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "h", "<", ">")
-
-
-@dataclass(frozen=True, kw_only=True)
-class CurveStyle:
-    """How a curve is drawn: colour, channels in 0..1, matplotlib's names of dash and marker."""
-
-    color: tuple[float, float, float]
-    dash: str
-    marker: str
-
-
-def curve_style(index: int) -> CurveStyle:
-    """Return the style of curve `index` ≥ 0; styles repeat after 308 curves, markers after 11."""
-    dash = DASHES[index // len(CURVE_COLORS) % len(DASHES)]
-    return CurveStyle(color=unit_rgb(CURVE_COLORS[index % len(CURVE_COLORS)]), dash=dash, marker=MARKERS[index % len(MARKERS)])
 
 
 def rgb(color: ColorArray) -> tuple[int, int, int]:

@@ -36,7 +36,7 @@ def show_window(content: Content, size_wh: tuple[int, int], photograph: str | No
         pass
     if stopped:
         window.window.close()
-        # Without these, Open3D 0.20 ends by a signal of its own.
+        # Open3D closes its window in its own ticks.
         for _ in range(TICKS_AT_END):
             app.run_one_tick()
     app.quit()

@@ -3,7 +3,7 @@
     model      Gaussians with Open3D's own splat shader, harmonics up to degree 2
     points     unlit points
     segments   unlit lines
-    polygons   their outlines: drawn see-through they ended the process (Open3D 0.20)
+    polygons   their outlines
 
 Coordinates are relative to an origin, for Open3D keeps float32. Open3D has no layers in front of
 all others, so those that ask for it, such as borders, are lifted above the ground's model.

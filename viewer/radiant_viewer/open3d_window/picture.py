@@ -1,5 +1,4 @@
-"""A picture by Open3D without a window. Once per process: Open3D 0.20 ends by a signal where it had
-two renderers."""
+"""A picture by Open3D without a window. Once per process, which holds one renderer."""
 
 from __future__ import annotations
 

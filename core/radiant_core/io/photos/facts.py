@@ -55,7 +55,7 @@ def _png_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _png_is_whole(data: bytes) -> bool:
-    """Whether every chunk of a PNG lies inside the file: OpenCV makes room for any length."""
+    """Whether every chunk of a PNG lies inside the file; only then OpenCV decodes it."""
     offset = len(PNG_SIGNATURE)
     while offset + 12 <= len(data):
         end = offset + 12 + int.from_bytes(data[offset : offset + 4], "big")

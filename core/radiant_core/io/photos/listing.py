@@ -200,10 +200,10 @@ def _no_photographs(folder: Path, content: FolderContent) -> BadInput:
     return BadInput(f"{folder} contains no photographs ({', '.join(SUFFIXES)}){unread_note}: {where}.{closed}")
 
 
-def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, tuple[float, float, float] | None]:
+def photograph_positions(folder: Path) -> dict[str, tuple[float, float, float] | None]:
     """GPS (degrees, degrees, metres or NaN) or None of the photographs in `folder`, by sorted name;
     raises as `photograph_heads`."""
-    return {name: exif.lat_lon_alt for name, exif in photograph_heads(folder, on_photo).items()}
+    return {name: exif.lat_lon_alt for name, exif in photograph_heads(folder).items()}
 
 
 def photograph_heads(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, ExifFacts]:

@@ -136,7 +136,7 @@ def _load_spz(path: Path) -> Splats:
         middle, exponent = check_array("middle", about["middle"], (3,)), int(about["exponent"])
         if not (0 <= degree < len(SH_BASES) and count >= 0 and abs(exponent) <= _MAX_EXPONENT):
             raise BadInput(f"it says {count} Gaussians of degree {degree} and exponent {exponent}: write it anew with this version.")
-        # Open3D takes mutated SPZ for another model: it gets only bytes that are known to be whole.
+        # Open3D gets only bytes that are known to be whole.
         if hashlib.sha256(data).hexdigest() != about["sha256"]:
             raise StoreDamaged(f"{path} has other bytes than were sent: send the model again.")
         if not count:

@@ -87,7 +87,6 @@ def forecast_borders(
     footprints: Footprints,
     *,
     half_band_m: float | None = None,
-    model: RiskModel | None = None,
     buffers: Sequence[EdgeBuffer] = (),
 ) -> tuple[BorderForecast, ...]:
     """A forecast for every border of a plan whose P cameras have these views and footprints;
@@ -120,7 +119,7 @@ def forecast_borders(
                 interior_support=interior,
                 forward_overlap=forward,
                 side_overlap=side,
-                risk=(model or RiskModel()).risk(min(supports)),
+                risk=RiskModel().risk(min(supports)),
             )
         )
     return tuple(forecasts)

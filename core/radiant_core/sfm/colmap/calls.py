@@ -1,7 +1,7 @@
 """Calls into pycolmap: logging, signals, progress and errors in one place.
 
-The database is never opened by Python's own sqlite3 while pycolmap has it open: two SQLite
-libraries in one process drop each other's file locks, and pycolmap was seen to die of a bus error.
+pycolmap was seen to end the process over a database that had two readers: only pycolmap opens one
+here, never Python's own sqlite3.
 """
 
 from __future__ import annotations

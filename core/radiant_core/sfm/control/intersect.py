@@ -30,11 +30,11 @@ def intersect_rays(bundle: Bundle, ties: Ties, count: int) -> FloatArray:
     return points
 
 
-def refine_points(bundle: Bundle, ties: Ties, points: FloatArray, num_steps: int = NUM_STEPS) -> FloatArray:
+def refine_points(bundle: Bundle, ties: Ties, points: FloatArray) -> FloatArray:
     """Points (P,3) moved to where their ties have them; one that gets worse, or is seen by too few,
     stays."""
     best, best_cost = points, _costs(bundle, ties, points)
-    for _ in range(num_steps):
+    for _ in range(NUM_STEPS):
         pixels, _, _, by_point = bundle.derivatives(ties.images, best[ties.points])
         residuals = ties.pixels - pixels
         is_usable = np.isfinite(residuals).all(axis=1) & np.isfinite(by_point).all(axis=(1, 2))

@@ -25,7 +25,7 @@ Descriptors = NDArray[np.uint8]
 Matches = NDArray[np.uint32]
 
 
-def match_descriptors(first: Descriptors, second: Descriptors, instruction_set: str = "") -> Matches:
+def match_descriptors(first: Descriptors, second: Descriptors) -> Matches:
     """Pairs (K,2) of rows of first (N,128) and second (M,128) uint8 that match, by rising row of
     the first. Raises BadInput for arrays of another shape or type."""
     for array in (first, second):
@@ -33,7 +33,7 @@ def match_descriptors(first: Descriptors, second: Descriptors, instruction_set: 
             raise BadInput(f"descriptors have shape {array.shape} and type {array.dtype}, expected (N, {NUM_BYTES}) of uint8.")
     if not len(first) or not len(second):
         return np.zeros((0, 2), np.uint32)
-    index, best, second_best, column_best = compare_descriptors(np.ascontiguousarray(first), np.ascontiguousarray(second), instruction_set)
+    index, best, second_best, column_best = compare_descriptors(np.ascontiguousarray(first), np.ascontiguousarray(second), "")
     near, next_rad = _angles_rad(best), _angles_rad(second_best)
     rows = np.flatnonzero((best == column_best[index]) & (near < MAX_RATIO * next_rad) & (near < MAX_ANGLE_RAD))
     return np.column_stack([rows, index[rows]]).astype(np.uint32)

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.hold_out import held_out_line
 from radiant_core.errors import BadInput
-from radiant_core.plan.flight.lines import MIN_LINE, flight_lines, held_out_line
+from radiant_core.plan.flight.lines import MIN_LINE, flight_lines
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "sample_scenes"))
 

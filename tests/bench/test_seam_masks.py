@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.methods.device_borders import DeviceBorders
+from benchmarks.methods.seam_error import SeamMasks, band_and_interior_psnr_db, seam_masks
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.borders import DeviceBorders, EdgeBorders
-from radiant_core.evaluate.seam_error import SeamMasks, band_and_interior_psnr_db, seam_masks
+from radiant_core.evaluate.borders import EdgeBorders
+from tests.bench.test_seam_error import camera_above
 from tests.core.evaluate.test_borders import plan_of, two_edges_of_strips
-from tests.core.evaluate.test_seam_error import camera_above
 from tests.core.scenes import cameras_above
 
 TWO_HALVES = plan_of(np.array([[-10.0, 0.0], [10.0, 0.0]]))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import shapely
 
+from benchmarks.methods.seam_error import SeamMask, band_and_interior_psnr_db, seam_masks
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import border_distance_m
 from radiant_core.evaluate.image_error import psnr_db
-from radiant_core.evaluate.seam_error import SeamMask, band_and_interior_psnr_db, seam_masks
 from radiant_core.plan.plans import CloudPlan
 
 

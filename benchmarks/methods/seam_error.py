@@ -23,9 +23,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.methods.device_borders import Borders
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.borders import Borders, EdgeBorders
+from radiant_core.evaluate.borders import EdgeBorders
+from radiant_core.evaluate.ground_places import depth_or_nan, ground_places, horizontal_rays
 from radiant_core.evaluate.image_error import psnr_db_of_mse
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.numerics import FloatArray
@@ -119,6 +121,12 @@ def seam_masks(
     return SeamMasks(borders=tuple(numbers), masks=masks)
 
 
+def region_width(plan_sites: FloatArray) -> float:
+    """Half the width of the band beside a border: 1/20 of the least distance between two edges."""
+    gaps = np.linalg.norm(plan_sites[:, None] - plan_sites, axis=2)
+    return float(gaps[gaps > 0].min()) / 20 if (gaps > 0).any() else 1.0
+
+
 def band_and_interior_psnr_db(
     renders: Iterable[NDArray[np.floating]], photographs: Iterable[NDArray[np.floating]], masks: Iterable[SeamMask]
 ) -> SeamError:
@@ -194,29 +202,10 @@ def _seam_mask(
     return SeamMask(labels=labels)
 
 
-def ground_places(cameras: Cameras, index: int, depth_m: NDArray[np.floating]) -> FloatArray:
-    """Horizontal place (H,W,2) m of what each pixel of one camera sees at depths (H,W) m along its
-    z axis, NaN where there is none."""
-    depth = _depth_or_nan(depth_m)
-    return cameras.centers[index, :2] + _rays(cameras, index, depth.shape) * depth[..., None]
-
-
-def _depth_or_nan(depth_m: NDArray[np.floating]) -> FloatArray:
-    return np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.nan).astype(np.float64)
-
-
-def _rays(cameras: Cameras, index: int, shape: tuple[int, ...]) -> FloatArray:
-    """Horizontal move (H,W,2) per unit of depth along the ray of each pixel."""
-    height, width = shape
-    K, pose = cameras.Ks[index], cameras.cam_from_world[index]
-    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    return np.stack([(columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1], np.ones_like(columns)], axis=2) @ pose[:3, :2]
-
-
 def _places(cameras: Cameras, index: int, depth_m: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
     """Horizontal place (H,W,2) of what a pixel sees, NaN without depth, and its error (H,W) m."""
     height, width = depth_m.shape
-    depth, rays = _depth_or_nan(depth_m), _rays(cameras, index, depth_m.shape)
+    depth, rays = depth_or_nan(depth_m), horizontal_rays(cameras, index, depth_m.shape)
     places = ground_places(cameras, index, depth_m)
     bends = np.zeros((height, width))
     inverse = 1 / depth
