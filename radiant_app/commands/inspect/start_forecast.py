@@ -41,8 +41,8 @@ QUICK_SHARE, FINE_SHARE = 1 / 3, 3
 QUICK_SIDE, FINE_SIDE = 2 / 3, 2
 """Of the default training's long side."""
 TOWN_DB: dict[QualityName, float | None] = {"quick": 25.3, "usual": 28.1, "fine": 28.6}
-"""PSNR of the sample town's held-out photographs in full, at 640 px, by one model on a CPU, where it
-was measured: `python -m tests.app.town_qualities`."""
+"""PSNR of the sample town's held-out photographs in full, at 640 px, by one model on a CPU, where
+it was measured: `python -m tests.app.town_qualities`."""
 
 
 @dataclass(frozen=True, kw_only=True)
