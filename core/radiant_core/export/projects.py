@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,19 +54,23 @@ class ProjectCounts:
     missing: tuple[str, ...]
 
 
-def save_colmap_project(folder: Path, scene: SfmScene, photographs: ProjectPhotographs) -> ProjectCounts:
-    """Write the project into `folder`. BadInput without cameras, CannotWrite where the disk is
-    full."""
+def save_colmap_project(
+    folder: Path, scene: SfmScene, photographs: ProjectPhotographs, report: Callable[[int, int], None] = lambda num_done, total: None
+) -> ProjectCounts:
+    """Write the project into `folder`; `report(done, total)` after each photograph. BadInput
+    without cameras, CannotWrite where the disk is full."""
     _require_cameras(folder, scene)
     write_binary_model(folder / "sparse" / "0", colmap_model(scene))
-    return _copy_photographs(folder, scene.cameras, photographs, all_masked=False)
+    return _copy_photographs(folder, scene.cameras, photographs, report, all_masked=False)
 
 
-def save_nerfstudio_project(folder: Path, scene: SfmScene, photographs: ProjectPhotographs) -> ProjectCounts:
+def save_nerfstudio_project(
+    folder: Path, scene: SfmScene, photographs: ProjectPhotographs, report: Callable[[int, int], None] = lambda num_done, total: None
+) -> ProjectCounts:
     """As `save_colmap_project`, for nerfstudio, which wants a mask of every photograph or of
     none."""
     _require_cameras(folder, scene)
-    counts = _copy_photographs(folder, scene.cameras, photographs, all_masked=True)
+    counts = _copy_photographs(folder, scene.cameras, photographs, report, all_masked=True)
     _save_points(folder / POINTS, scene)
     write_atomic(folder / "transforms.json", json.dumps(_transforms(scene.cameras, masked=counts.masks > 0), indent=1).encode())
     return counts
@@ -119,7 +123,9 @@ def _save_points(path: Path, scene: SfmScene) -> None:
         file.write(rows.tobytes())
 
 
-def _copy_photographs(folder: Path, cameras: Cameras, photographs: ProjectPhotographs, *, all_masked: bool) -> ProjectCounts:
+def _copy_photographs(
+    folder: Path, cameras: Cameras, photographs: ProjectPhotographs, report: Callable[[int, int], None], *, all_masked: bool
+) -> ProjectCounts:
     """Copy photographs and masks; a photograph without a mask gets a white one where `all_masked`
     and there is any."""
     if photographs.images is None:
@@ -127,7 +133,7 @@ def _copy_photographs(folder: Path, cameras: Cameras, photographs: ProjectPhotog
     masks = photographs.masks
     any_masked = masks is not None and any((masks / mask_name(name)).is_file() for name in cameras.names)
     missing, num_masks = [], 0
-    for name, size_wh in zip(cameras.names, cameras.sizes_wh.tolist(), strict=True):
+    for num_done, (name, size_wh) in enumerate(zip(cameras.names, cameras.sizes_wh.tolist(), strict=True), start=1):
         if (photographs.images / name).is_file():
             _copy(photographs.images / name, folder / IMAGES / name)
         else:
@@ -138,6 +144,7 @@ def _copy_photographs(folder: Path, cameras: Cameras, photographs: ProjectPhotog
         elif any_masked and all_masked:
             save_mask(folder / MASKS / mask_name(name), np.ones(size_wh[::-1], bool))
             num_masks += 1
+        report(num_done, len(cameras))
     return ProjectCounts(photographs=len(cameras) - len(missing), masks=num_masks, missing=tuple(missing))
 
 
