@@ -48,7 +48,7 @@ with socket.socket(socket.AF_UNIX) as server:
     socket.send_fds(server, [json.dumps([told, *sys.argv[2:]]).encode()], [0, 1, 2])
     sys.exit(int(server.recv(8) or 1))
 """
-_environment = dict(os.environ)
+_environment, _PLACE = dict(os.environ), tempfile.gettempdir()
 
 
 @contextlib.contextmanager
@@ -73,7 +73,7 @@ def client(address: Path, module: str, *arguments: str) -> list[str]:
 @cache
 def server_address(names: tuple[str, ...]) -> Path:
     """Where a server listens that has imported `names`; it ends with this process."""
-    folder = Path(tempfile.mkdtemp(prefix="workers-"))
+    folder = Path(tempfile.mkdtemp(prefix="workers-", dir=_PLACE))
     command = [sys.executable, "-m", __spec__.name, str(folder / "socket"), *names]
     server = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_environment)
 

@@ -13,7 +13,7 @@ from xdist.scheduler import LoadFileScheduling
 
 _FILES = {
     "address": ("contract", ("executors", "gangs", "hierarchy", "together")),
-    "finished": ("app", ("cards", "few_photographs", "pipeline", "pipeline_commands", "pipeline_nodes")),
+    "finished": ("app", ("cards", "pipeline", "pipeline_commands", "pipeline_nodes")),
     "paper_models": ("bench", ("latency", "paper")),
 }
 SHARED = {fixture: tuple(f"tests/{folder}/test_{name}.py" for name in names) for fixture, (folder, names) in _FILES.items()}
