@@ -16,6 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from shutil import rmtree
@@ -108,9 +109,11 @@ class _Peak(threading.Thread):
         self._root = psutil.Process(pid)
 
     def run(self) -> None:
-        while self._root.is_running() and self._root.status() != psutil.STATUS_ZOMBIE:
-            self.bytes = max(self.bytes, sum(map(_held_bytes, [self._root, *self._root.children(recursive=True)])))
-            time.sleep(SAMPLED_EVERY_S)
+        # It may end, and be waited for, between any two of these calls.
+        with suppress(psutil.NoSuchProcess):
+            while self._root.status() != psutil.STATUS_ZOMBIE:
+                self.bytes = max(self.bytes, sum(map(_held_bytes, [self._root, *self._root.children(recursive=True)])))
+                time.sleep(SAMPLED_EVERY_S)
 
 
 def _held_bytes(process: psutil.Process) -> int:
