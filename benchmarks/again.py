@@ -86,11 +86,12 @@ class ArmRow:
 class MapRow:
     """Of one map: rank correlation of predicted and true error over facets, and the share of them
     at least as good as called, in new views like those flown and off their path; the same
-    correlation by held-out photographs; CPU seconds of map and proposal."""
+    correlation by held-out photographs, which may show too few facets for any; CPU seconds of map
+    and proposal."""
 
     seed: int
-    rank_on_path: float
-    rank_off_path: float
+    rank_on_path: float | None
+    rank_off_path: float | None
     rank_held_out: float | None
     good_on_path: float | None
     good_off_path: float | None
@@ -274,7 +275,15 @@ def _map_row(
     samples = error_samples(
         train_db, known_facets.score, held_seen, errors(held_cameras, [images[row] for row in held_rows.tolist()], held_seen)
     )
-    model = fit_errors(samples)
+    row = MapRow(
+        seed=town.seed, rank_on_path=None, rank_off_path=None, rank_held_out=None, good_on_path=None,
+        good_off_path=None, facets=count, map_s=0.0, proposal_s=0.0,
+    )  # fmt: skip
+    try:
+        model = fit_errors(samples)
+    except BadInput as error:
+        print(f"seed {town.seed}: errors are not predicted: {error}", file=sys.stderr)
+        return row
     predicted_db = model.predict(train_db, known_facets.score)
     scored = town.scored_cameras()
     seen_scored = sights.all_of(scored)
@@ -289,10 +298,9 @@ def _map_row(
 
     rank_on, good_on = held_against(on_path=True)
     rank_off, good_off = held_against(on_path=False)
-    return MapRow(
-        seed=town.seed, rank_on_path=rank_on, rank_off_path=rank_off, rank_held_out=model.rank, good_on_path=good_on,
-        good_off_path=good_off, facets=count, map_s=0.0, proposal_s=0.0,
-    )  # fmt: skip
+    return replace(
+        row, rank_on_path=rank_on, rank_off_path=rank_off, rank_held_out=model.rank, good_on_path=good_on, good_off_path=good_off
+    )
 
 
 def measure_seed(seed: int, out: Path, width_px: int, num_steps: int, flight: str = "survey") -> tuple[list[ArmRow], MapRow]:
