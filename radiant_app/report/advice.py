@@ -20,7 +20,8 @@ UNSHARP_PERCENT = 80.0
 """Of the others' sharpness; sharp sets have 80 to 120 % (docs/experiments/training.md)."""
 MOST_LINES = 3
 LOST_SOMEWHERE = ("train.fill_in", "train.drop_gaussians")
-"""What cost half a decibel or more on some kind of scene (docs/experiments/kinds.md)."""
+"""What cost on some kind of scene, surely or before models were averaged
+(docs/experiments/kinds.md, regimes.md)."""
 
 
 def what_to_try(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:

@@ -57,8 +57,8 @@ CLEARLY = 0.75
 """At most this share of the error of `height`. Flights have 1.0 to 1.6, orbits 0.8, turntables 0.6,
 rooms and façades 0.1 to 0.2."""
 DEPTH_REACH_CELLS = 1.5
-"""`depth` leaves out cells farther from the nearest observed point: it is 4 to 6 % off within this,
-22 % from three cells on (room of 30), where points would be haze before walls and under floors."""
+"""`depth` leaves out cells farther from the nearest observed point: it is 4 to 5 % off within this,
+23 % from three cells on (room of 30), where points would be haze before walls and under floors."""
 CONSIDERED = 64
 """So many of the nearest are searched for such points."""
 Rule = Literal["height", "depth"]

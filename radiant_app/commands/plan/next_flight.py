@@ -271,7 +271,7 @@ def _warn_of_unknown(air: Air, candidates: Candidates, flights: Sequence[_Flight
     length = sum(length_near_unknown(air, flight.way) for flight in flights)
     if length or num_unknown:
         seen = f"{num_unknown} of {len(rows)} views and {length:.0f} {unit} of the way are near land that the model does not show"
-        display(Warned(stage=STAGE, message=f"{seen}: its highest height counts there. Look for what is taller before flying."))
+        display(Warned(stage=STAGE, message=f"{seen}: there the model's highest point counts. Look for what is taller before flying."))
 
 
 def _write_flights(request: NextFlightRequest, proposal: _Proposal, display: ProgressDisplay) -> dict[str, Any]:
