@@ -186,11 +186,12 @@ class Errands:
     def _round(self) -> float:
         """One poll and what follows; how long to wait for the next."""
         self._work_on()
-        answer = parse_record(PollAnswer, self.line.poll(self._poll_body()), f"what {self.line.upper.upper} answers")
+        body = self._poll_body()
+        answer = parse_record(PollAnswer, self.line.poll(body), f"what {self.line.upper.upper} answers")
         self.sending = []
         verdict, current = answer.verdict, self.current
         if current is not None and verdict is not None:
-            current.failure_sent = current.failure_sent or (current.outcome is not None and current.outcome.error is not None)
+            current.failure_sent = current.failure_sent or body["ended"] is not None
             # A hub that lost what it had, by a power cut or an old copy, asks once more.
             current.sent = current.sent and verdict.state not in ("offered", "taken")
             if verdict.state in ("accepted", "refused", "withdrawn"):
@@ -201,24 +202,25 @@ class Errands:
             self._take(answer.task)
         elif self.current is not None:
             self._drop()
-        return answer.wait_s
+        current = self.current
+        is_untold = current is not None and current.outcome is not None and not current.sent and not current.failure_sent
+        return 0.0 if is_untold else answer.wait_s
 
     def _poll_body(self) -> dict[str, Any]:
         current = self.current
-        ended = None
-        if current is not None and current.outcome is not None and current.outcome.error is not None and not current.failure_sent:
-            error = current.outcome.error
-            ended = Ended(
-                message=str(error)[:MAX_EVENT_CHARS],
-                exit_code=error.exit_code,
-                crashed=current.outcome.crashed,
-                cannot_write=isinstance(error, CannotWrite),
-            ).model_dump()
         if not self.sending:
             num_sent = _num_fitting(self.waiting)
             self.sending, self.waiting = self.waiting[:num_sent], self.waiting[num_sent:]
             # A request's counter is larger than in any process before, whatever the clock says.
             self.batch = self.line.counter
+        outcome, ended = None if current is None or current.failure_sent else current.outcome, None
+        if outcome is not None and outcome.error is not None and not self.waiting:
+            ended = Ended(
+                message=str(outcome.error)[:MAX_EVENT_CHARS],
+                exit_code=outcome.error.exit_code,
+                crashed=outcome.crashed,
+                cannot_write=isinstance(outcome.error, CannotWrite),
+            ).model_dump()
         return {
             "software": __version__,
             "task": "" if current is None else current.digest,
@@ -276,8 +278,10 @@ class Errands:
         self._keep(errand.work.heard())
         if errand.outcome is None:
             errand.outcome = errand.work.outcome()
-        if errand.outcome is not None and errand.outcome.error is None and not errand.sent:
             self._keep(errand.work.heard())
+        # What it said goes first: once the result is there, the node above hears nothing more of the task.
+        is_said = not self.waiting and not self.sending
+        if errand.outcome is not None and errand.outcome.error is None and not errand.sent and is_said:
             try:
                 self._send(errand, errand.work.result())
             except Withdrawn:

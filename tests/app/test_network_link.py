@@ -12,13 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.events import Event
+from radiant_app.events import Event, StageDone, decode
 from radiant_app.network import line as lines
 from radiant_app.network import serving
 from radiant_app.network.errands import Errands, Outcome
 from radiant_app.network.home import open_home
 from radiant_app.network.hub import Hub, open_hub
 from radiant_app.network.line import Line
+from radiant_app.network.reception import MAX_EVENTS
+from radiant_core.errors import StageFailed
 from radiant_core.hierarchy.codec import MODEL_NAME
 from radiant_core.io.run_store import SEAL_NAME
 from radiant_core.io.transport.envelope import Envelope
@@ -301,6 +303,41 @@ def test_a_device_whose_model_was_refused_makes_it_anew_when_it_is_asked_again(r
     _wait_for(lambda: _state(road) == "received")
     task = road.hub.store.task(road.digest)
     assert task is not None and task.tries == 3
+    errands.ended.set()
+    working.join(10)
+    assert not working.is_alive()
+
+
+class _Talking(_Done):
+    """Its work has said more than one request carries by the time that it ends."""
+
+    def __init__(self, road: Road, error: StageFailed | None) -> None:
+        super().__init__(road)
+        self.error = error
+        self.events: list[Event] = [StageDone(stage=f"devices/d/{number}", seconds=0.0) for number in range(MAX_EVENTS + 100)]
+
+    def heard(self) -> list[Event]:
+        events, self.events = self.events, []
+        return events
+
+    def outcome(self) -> Outcome:
+        return Outcome(error=self.error)
+
+
+@pytest.mark.parametrize("error", [None, StageFailed("devices/d: the disk is full.")])
+def test_what_a_node_said_arrives_before_how_it_ended(road: Road, error: StageFailed | None) -> None:
+    """The node above hears nothing more of a task that has ended."""
+    write_model(road.folder / "model", 1000, 4)
+    line = road.line()
+    errands = Errands(home=line.home, line=line, performer=_Talking(road, error))
+    working = threading.Thread(target=errands.run, daemon=True)
+    working.start()
+    _wait_for(lambda: _state(road) == ("received" if error is None else "failed"))
+    said: list[str] = []
+    while not road.hub.messages.empty():
+        message = road.hub.messages.get()
+        said += [getattr(decode(event), "stage", "") for event in message.events]
+    assert said == [f"devices/d/{number}" for number in range(MAX_EVENTS + 100)]
     errands.ended.set()
     working.join(10)
     assert not working.is_alive()
