@@ -105,7 +105,12 @@ BufferOption = Annotated[
 ]
 DeadlineOption = Annotated[
     float | None,
-    typer.Option("--deadline", min=0, help="Seconds in which an edge accepts buffer captures.", rich_help_panel=BEFORE_CAPTURE),
+    typer.Option(
+        "--deadline",
+        min=0,
+        help="Seconds in which an edge accepts buffer captures; with --next, trains, joins and sends its new photographs.",
+        rich_help_panel=BEFORE_CAPTURE,
+    ),
 ]
 CutByOption = Annotated[CutBy, option("plan.cut_by")]
 RasterCellOption = Annotated[float | None, option("plan.raster_cell_m")]

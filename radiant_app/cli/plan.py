@@ -75,6 +75,7 @@ def plan_next_flight(
     from radiant_app.commands.plan.flight import battery_seconds, flight_formats
     from radiant_app.commands.plan.next_flight import NextFlightRequest
     from radiant_app.commands.plan.next_flight import plan_next_flight as plan_next
+    from radiant_app.commands.plan.tables import next_flight_lines
     from radiant_app.report.progress import terminal_display
     from radiant_core.plan.flight.figures import Drone
 
@@ -85,6 +86,7 @@ def plan_next_flight(
         photographs=photographs,
         batteries=batteries,
         system=typed["system"],
+        deadline_s=typed["deadline"],
         resolution=resolution,
         safe_m=safe,
         lowest_m=typed["min_height"],
@@ -96,7 +98,10 @@ def plan_next_flight(
         crs=typed["crs"],
         seed=typed["seed"],
     )
-    finish(plan_next(request, terminal_display()), typed["as_json"])
+    result = plan_next(request, terminal_display())
+    if typed["as_json"]:
+        return finish(result, as_json=True)
+    return typer.echo("\n".join(next_flight_lines(result, next_run)))
 
 
 @with_options_of(plan_again, plan_next_flight)
@@ -197,7 +202,9 @@ def _instead() -> Mapping[str, _Instead]:
             does="plans another flight for {}",
             stays="the run that there is",
             options=frozenset(parameter.name for parameter in options_of(plan_next_flight)),
-            shared=frozenset({"out", "system", "min_height", "max_height", "flight_format", "speed", "battery", "crs", "seed", "as_json"}),
+            shared=frozenset(
+                {"out", "system", "deadline", "min_height", "max_height", "flight_format", "speed", "battery", "crs", "seed", "as_json"}
+            ),
         ),
     }
 

@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
 from radiant_core.errors import BadInput
-from radiant_core.next_flight.candidates import Air
+from radiant_core.next_flight.candidates import Air, usual_take_off
 from radiant_core.numerics import FloatArray
 
 MAX_ROUNDS, NUM_STARTS = 50, 16
 CORNER_CELLS = 1.0
 """Corners are passed so many cells outside."""
+HEADROOM = 1.5
+"""Around eight of the generator's towns the tallest thing is at most 1.45 times as tall as the tallest
+within."""
 
 
 def shortest_order(places: FloatArray) -> NDArray[np.int64]:
@@ -85,9 +88,18 @@ def safe_way(air: Air, places: FloatArray) -> tuple[FloatArray, NDArray[np.int64
     return np.array(way), np.array(owner, np.int64)
 
 
-def length_near_unknown(air: Air, way: FloatArray) -> float:
-    """How much of a way (Q,3) is within the safe distance of land that is not known."""
-    return sum(float(np.linalg.norm(end - start)) * float((~air.knows(_along(air, start, end))).mean()) for start, end in pairwise(way))
+def low_over_unknown(air: Air, places: FloatArray) -> NDArray[np.bool_]:
+    """Which places (P,3) are within the safe distance of land that is not known, too low for what
+    might stand there: `HEADROOM` times as tall above low ground as all that is known."""
+    ground = usual_take_off(air.facets)
+    return ~air.knows(places) & (places[:, 2] < ground + HEADROOM * (air.facets.highest - ground) + air.rules.safe)
+
+
+def length_low_over_unknown(air: Air, way: FloatArray) -> float:
+    """How much of a way (Q,3) is so."""
+    return sum(
+        float(np.linalg.norm(end - start)) * float(low_over_unknown(air, _along(air, start, end)).mean()) for start, end in pairwise(way)
+    )
 
 
 def _between(air: Air, start: FloatArray, end: FloatArray) -> list[FloatArray]:

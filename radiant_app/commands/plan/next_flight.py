@@ -2,7 +2,8 @@
 
 OUT gets the map of what is known (`known_map`) and, where photographs or batteries are asked for,
 next.geojson: each view with its reason, and in flight/ a list per device, in the order of its
-flight. The exact planner deals the views to the devices of the system.
+flight. The exact planner deals the views to the devices of the system, at most as many as its
+machines train, join and send by a deadline.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from radiant_app.commands.plan.costs import InTime, views_in_time
 from radiant_app.commands.plan.flight import WRITERS
 from radiant_app.commands.plan.known_map import STAGE, FoundMap, find_known, write_known
 from radiant_app.commands.run.steps import stage_bar
@@ -37,8 +39,9 @@ from radiant_core.next_flight.candidates import Air, Candidates, FlightRules, ai
 from radiant_core.next_flight.choosing import COMPARED_FACETS, Chosen, choose_views
 from radiant_core.next_flight.facets import Facets
 from radiant_core.next_flight.sightings import Sights, known_by
-from radiant_core.next_flight.way import length_near_unknown, safe_way, shortest_order
+from radiant_core.next_flight.way import HEADROOM, length_low_over_unknown, low_over_unknown, safe_way, shortest_order
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.counts.wide_deadline import system_capacity
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.flight.figures import CLIMB_M_PER_S, Drone, flight_figures
 from radiant_core.plan.heights import USUAL_LIMIT_M
@@ -68,6 +71,8 @@ class NextFlightRequest:
     """For each device."""
     system: Path | None = None
     """The devices that fly; None: one."""
+    deadline_s: float | None = None
+    """In which each edge trains, joins and sends its new photographs; None: no limit."""
     resolution: float | None = None
     safe_m: float = SAFE_M
     lowest_m: float | None = None
@@ -93,6 +98,8 @@ class _Flight:
     owner: NDArray[np.int64]
     flight_s: float
     batteries: int
+    device_time_s: float
+    """T^n of its views."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,6 +141,12 @@ def _require_request(request: NextFlightRequest) -> None:
             raise BadInput(f"{option} is {count}, expected 1 or more.")
     if request.photographs is not None and request.photographs > MOST_VIEWS:
         raise BadInput(f"--photographs is {request.photographs}, expected at most {MOST_VIEWS}: fly, train again and ask again.")
+    if request.deadline_s is not None and not 0 < request.deadline_s < math.inf:
+        raise BadInput(f"--deadline is {request.deadline_s:g} s, expected more than 0.")
+    if request.deadline_s is not None and request.system is None:
+        raise BadInput("--deadline counts what machines cost: name them with --system.")
+    if request.deadline_s is not None and request.photographs is None and request.batteries is None:
+        raise BadInput("--deadline bounds a flight, and only the map was asked for: give --photographs or --batteries.")
     unknown = [name for name in request.formats if name not in WRITERS]
     if unknown:
         raise BadInput(f"--flight-format names {unknown[0]!r}, expected some of csv (always written), {', '.join(WRITERS)} with commas.")
@@ -164,14 +177,20 @@ def _propose(
     with stage_bar(display, "candidates") as report:
         flown = sights.all_of(known_map.trained)
         sightings = sights.all_of(candidates.cameras, lambda num_done, total: report(num_done, total, "views"))
-    count = MOST_VIEWS if request.photographs is None else request.photographs
+    # Batteries are filled with as many views as the devices can hold; 0 is refused by the plan.
+    count = (system_capacity(system, MOST_VIEWS) or MOST_VIEWS) if request.photographs is None else request.photographs
     with stage_bar(display, "choosing") as report:
         knowledge = known_by(sights, known_map.trained, flown)
         chosen = choose_views(facets, knowledge, flown, sightings, count, lambda num_done, total: report(num_done, total, "views"))
     if not chosen:
         raise BadInput("no safe view adds anything to what is known: nothing is to be flown.")
-    flights = _within_batteries(request, system, air, candidates, chosen, known_map)
-    _tell(request, candidates, flights, display)
+    in_time = InTime(system=system, num_views=len(chosen))
+    if request.deadline_s is not None:
+        in_time = views_in_time(system, len(chosen), request.deadline_s, asked=request.photographs is not None)
+    for message in in_time.warnings:
+        display(Warned(stage=STAGE, message=message))
+    flights = _within_batteries(request, in_time.system, air, candidates, chosen[: in_time.num_views], known_map)
+    _tell(request, in_time, candidates, flights, display)
     _warn_of_unknown(air, candidates, flights, known_map.survey.run.unit, display)
     return _Proposal(known_map=known_map, air=air, candidates=candidates, flights=flights)
 
@@ -234,24 +253,35 @@ def _flights(
             rows = plan.cameras_of(device)
             if len(rows):
                 rows = rows[shortest_order(places[rows])]
-                flights.append(_flight(device, [chosen[row] for row in rows.tolist()], places[rows], air, request.drone))
-    if not flights:
-        raise BadInput("the system has no devices that fly: give one whose edges have devices, or leave --system out.")
+                time_s = float(plan.device_time_s[plan.device_ids.index(device)])
+                flights.append(_flight(device, [chosen[row] for row in rows.tolist()], places[rows], air, request.drone, time_s))
+        if len(plan.camera_indices) and not plan.device_ids:
+            raise BadInput(f"edge {plan.edge_id!r} has no devices that fly: give one whose edges have devices, or leave --system out.")
     return tuple(flights)
 
 
-def _flight(device: str, views: Sequence[Chosen], places: FloatArray, air: Air, drone: Drone) -> _Flight:
+def _flight(device: str, views: Sequence[Chosen], places: FloatArray, air: Air, drone: Drone, device_time_s: float) -> _Flight:
     way, owner = safe_way(air, places)
     heights = way[:, 2] - air.rules.take_off
     climbs_s = float(np.abs(np.diff(heights)).sum()) / CLIMB_M_PER_S
     flight_s = flight_figures(way[:, :2], heights, drone).flight_s + climbs_s
     batteries = math.ceil(flight_s / drone.battery_s)
-    return _Flight(device=device, views=tuple(views), way=way, owner=owner, flight_s=flight_s, batteries=batteries)
+    return _Flight(
+        device=device, views=tuple(views), way=way, owner=owner, flight_s=flight_s, batteries=batteries, device_time_s=device_time_s
+    )
 
 
-def _tell(request: NextFlightRequest, candidates: Candidates, flights: Sequence[_Flight], display: ProgressDisplay) -> None:
+def _tell(
+    request: NextFlightRequest, in_time: InTime, candidates: Candidates, flights: Sequence[_Flight], display: ProgressDisplay
+) -> None:
     count = sum(len(flight.views) for flight in flights)
     limit = "batteries" if request.photographs is None or count < request.photographs else "photographs"
+    if in_time.left_out is not None and count == in_time.num_views:
+        reason = in_time.left_out
+        display(Decided(decision=Decision(
+            stage=STAGE, topic="deadline", choice=in_time.choice, figure=request.deadline_s, unit="s", reason=reason, otherwise="--deadline"
+        )))  # fmt: skip
+        limit = "deadline"
     decision = Decision(
         stage=STAGE,
         topic="next flight",
@@ -265,13 +295,15 @@ def _tell(request: NextFlightRequest, candidates: Candidates, flights: Sequence[
 
 
 def _warn_of_unknown(air: Air, candidates: Candidates, flights: Sequence[_Flight], unit: str, display: ProgressDisplay) -> None:
-    """Say how much of the flights is over land that the model does not show."""
+    """Say how much of the flights is low over land that the model does not show."""
     rows = [view.row for flight in flights for view in flight.views]
-    num_unknown = int((~air.knows(candidates.places[rows])).sum())
-    length = sum(length_near_unknown(air, flight.way) for flight in flights)
-    if length or num_unknown:
-        seen = f"{num_unknown} of {len(rows)} views and {length:.0f} {unit} of the way are near land that the model does not show"
-        display(Warned(stage=STAGE, message=f"{seen}: there the model's highest point counts. Look for what is taller before flying."))
+    num_low = int(low_over_unknown(air, candidates.places[rows]).sum())
+    length = sum(length_low_over_unknown(air, flight.way) for flight in flights)
+    whole = sum(float(np.linalg.norm(np.diff(flight.way, axis=0), axis=1).sum()) for flight in flights)
+    if length or num_low:
+        where = f"{num_low} of {len(rows)} views and {length:.0f} of {whole:.0f} {unit} of the way"
+        low = f"are near land that the model does not show, too low for anything {HEADROOM:g} times as tall as the tallest that it shows"
+        display(Warned(stage=STAGE, message=f"{where} {low}: look for that before flying."))
 
 
 def _write_flights(request: NextFlightRequest, proposal: _Proposal, display: ProgressDisplay) -> dict[str, Any]:
@@ -293,7 +325,13 @@ def _write_flights(request: NextFlightRequest, proposal: _Proposal, display: Pro
         display(Warned(stage=STAGE, message=NO_LISTS))
         lists = "none"
     rows = [
-        {"device": flight.device, "views": len(flight.views), "flight_s": round(flight.flight_s), "batteries": flight.batteries}
+        {
+            "device": flight.device,
+            "views": len(flight.views),
+            "flight_s": round(flight.flight_s),
+            "batteries": flight.batteries,
+            **({} if request.deadline_s is None else {"training_s": round(flight.device_time_s, 1)}),
+        }
         for flight in proposal.flights
     ]
     return {"views": proposal.num_views, "take_off": round(take_off, 2), "flight": rows, "lists": lists}

@@ -15,11 +15,12 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_app.commands.plan.costs import costed_by_training
 from radiant_app.commands.plan.flight import NO_COLUMN
 from radiant_app.commands.plan.pictures import GANTT, LISTS, MAP, REGIONS, SYSTEM, sibling
 from radiant_app.commands.plan.plan import write_folder_atomically
@@ -29,10 +30,7 @@ from radiant_app.files.run_folder import Manifest, read_manifest
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, measured_seconds
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.predictions import depends_on_training, planned_training, with_camera_limits, with_short_joins, with_step_law
-from radiant_app.run.training_costs import scaled_to_training
 from radiant_app.workers.sources import DELIVERED, load_scene_of
-from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
 from radiant_core.export.plan import save_device_waypoints, save_regions_geojson
 from radiant_core.frames import enu_from_geodetic
@@ -48,8 +46,6 @@ from radiant_core.plan.system import System
 from radiant_core.plan.timeline.prediction import correct_system, planned_stages
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
-from radiant_core.train.config import Preset
-from radiant_core.train.needs import Overrides
 from radiant_core.waypoints.reader import exif_waypoints, read_waypoints
 
 MOVED = "_moved.csv"
@@ -113,7 +109,7 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
     joining = None if request.join is None else load_system(request.join)
     places = before.cloud.places_of(before.positions[:, :2])
     placed = place_edges(_grow_system(before, joining), places, before.origin, request.seed)
-    placed, warnings = _limit_to_memory(placed, len(before.positions))
+    placed, warnings = costed_by_training(placed, len(before.positions))
     old, joined = _split_system(placed, before.system)
     positions = before.positions[:, :2]
     with stage_bar(display, "replan") as report:
@@ -126,29 +122,6 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
         report(1, 2, "writing")
         _write(request.out, before, new)
     return _summary(request.out, before, new, (*warnings, *before.warnings))
-
-
-def _limit_to_memory(system: System, num_positions: int) -> tuple[System, tuple[str, ...]]:
-    """The system with limits by memory, where it has none, and profiles taken at the steps of so
-    many photographs, for the training of the plan; warnings."""
-    if not depends_on_training(system):
-        return system, ()
-    preset, overrides = _training_of(system)
-    train = planned_training(preset, overrides)
-    scaled = scaled_to_training(system, train, preset, num_positions)
-    shorter = with_short_joins(with_step_law(scaled.system, train, num_positions), train, num_positions, AggregateConfig())
-    limited, _, warnings = with_camera_limits(shorter, train, num_positions)
-    return limited, warnings if scaled.note is None else (scaled.note, *warnings)
-
-
-def _training_of(system: System) -> tuple[Preset, Overrides]:
-    """The training that the costs of the planned machines hold for; the default one where their
-    file does not say."""
-    training = system.training
-    preset = next((name for name in get_args(Preset) if training is not None and name == training.preset), None)
-    if training is None or preset is None:
-        return "default", Overrides()
-    return preset, Overrides(long_side_px=training.long_side_px, num_steps=training.num_steps, max_num_splats=training.max_num_splats)
 
 
 def _grow_system(before: _Before, joining: System | None) -> System:

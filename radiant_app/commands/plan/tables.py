@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from radiant_app.commands.plan.content import border_table
@@ -34,6 +36,23 @@ def plan_tables(result: dict[str, Any]) -> list[str]:
     )
     costs = [result.pop("costs")] if "costs" in result else []
     return [*costs, *(aligned(result[name]) for name, aligned in tables if result.get(name))]
+
+
+_LENGTHS, _AREAS = ("resolution", "take_off"), ("surface", "hole_ground", "hole_walls", "weak_ground", "weak_walls")
+
+
+def next_flight_lines(result: dict[str, Any], run: Path) -> list[str]:
+    """A map of what is known and the flight over it, if any, in lines with units, and what to do
+    next."""
+    unit = result["unit"]
+    units = {**dict.fromkeys(_LENGTHS, f" {unit}"), **dict.fromkeys(_AREAS, f" {unit}²"), "margin_db": " dB"}
+    lines = [f"{key}: {value}{units.get(key, '')}" for key, value in result.items() if key not in ("unit", "flight")]
+    for row in result.get("flight", ()):
+        trains = f", trained in {row['training_s']:g} s" if "training_s" in row else ""
+        lines.append(f"{row['device']}: {row['views']} views, {row['flight_s'] / 60:.1f} min, {row['batteries']} batteries{trains}")
+    folder = quote(str(run))
+    then = f"join {folder} --photographs NEW" if "flight" in result else f"plan --next {folder} --photographs 13"
+    return [*lines, f"next: {'fly, then ' * ('flight' in result)}radiant {then} --out OUT"]
 
 
 def method_table(rows: list[dict[str, Any]], unit: str = "m") -> str:

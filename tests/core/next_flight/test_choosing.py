@@ -12,7 +12,7 @@ from radiant_core.errors import BadInput
 from radiant_core.next_flight.candidates import FlightRules, air_over, candidate_views, usual_take_off
 from radiant_core.next_flight.choosing import Coverage, choose_views
 from radiant_core.next_flight.sightings import Knowledge, Sights, known_by
-from radiant_core.next_flight.way import length_near_unknown, safe_way, shortest_order
+from radiant_core.next_flight.way import HEADROOM, length_low_over_unknown, low_over_unknown, safe_way, shortest_order
 from tests.core.next_flight.block import FRAME, LENS, block_facets, block_sights, looks
 
 RULES = FlightRules(safe=3.0, take_off=0.0, lowest=2.0, highest=60.0)
@@ -121,8 +121,19 @@ def test_land_is_known_where_all_within_the_safe_distance_is() -> None:
     # The ground ends at 20 m; a cell's corners count, so that up to two cells more are doubted.
     places = np.array([[0.0, 0.0, 20.0], [15.5, 3.0, 20.0], [17.2, 3.0, 20.0], [0.0, -17.5, 20.0], [90.0, 0.0, 20.0]])
     assert air.knows(places).tolist() == [True, True, False, False, False]
-    assert length_near_unknown(air, np.array([[-10.0, 0.0, 20.0], [10.0, 0.0, 20.0]])) == 0.0
-    assert length_near_unknown(air, np.array([[0.0, 0.0, 20.0], [40.0, 0.0, 20.0]])) == pytest.approx(24.0, abs=0.8)
+
+
+def test_a_way_over_unknown_land_counts_where_it_is_low() -> None:
+    air = air_over(block_facets(0.5), RULES)
+    # Above what is 1.5 times as tall as the block, by the safe distance.
+    high = HEADROOM * 8.0 + RULES.safe
+    assert low_over_unknown(air, np.array([[0.0, 0.0, 1.0], [30.0, 0.0, high - 0.01], [30.0, 0.0, high]])).tolist() == [False, True, False]
+    assert length_low_over_unknown(air, np.array([[-10.0, 0.0, 12.0], [10.0, 0.0, 12.0]])) == 0.0
+    # The ground ends at 20 m and is doubted from 16 m.
+    assert length_low_over_unknown(air, np.array([[0.0, 0.0, 12.0], [40.0, 0.0, 12.0]])) == pytest.approx(24.0, abs=0.8)
+    assert length_low_over_unknown(air, np.array([[0.0, 0.0, high], [40.0, 0.0, high]])) == 0.0
+    # Climbing a metre each metre it is high enough from 20 m on.
+    assert length_low_over_unknown(air, np.array([[0.0, 0.0, high - 20.0], [40.0, 0.0, high + 20.0]])) == pytest.approx(4 * 2**0.5, abs=0.8)
 
 
 def test_a_leg_beyond_the_highest_is_refused() -> None:
