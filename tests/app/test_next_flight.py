@@ -14,7 +14,8 @@ import tifffile
 from rich.console import Console
 
 from radiant_app.commands.plan.next_flight import NextFlightRequest, plan_next_flight
-from radiant_app.events import Event, Warned
+from radiant_app.commands.plan.tables import next_flight_lines
+from radiant_app.events import Decided, Event, Warned
 from radiant_app.report.known_section import BEGIN, END, add_known_section
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
@@ -70,6 +71,12 @@ def test_the_map_has_its_bands_and_place(flown: tuple[Path, dict[str, Any], list
     assert (bands[..., 4] == -9999).all()
     assert "predicted_error" in figures
     assert any(isinstance(event, Warned) and "not predicted" in event.message for event in heard)
+    # Level ground: no way over the unknown is low for what might stand there.
+    assert not any(isinstance(event, Warned) and "does not show" in event.message for event in heard)
+    lines = next_flight_lines(figures, Path("RUN"))
+    (flight,) = figures["flight"]
+    assert f"edge-1-1: 6 views, {flight['flight_s'] / 60:.1f} min, 1 battery" in lines
+    assert lines[-1] == "next: fly, then radiant join RUN --photographs NEW --out OUT"
     shapes = json.loads((out / "known.geojson").read_text())
     assert shapes["type"] == "FeatureCollection"
     assert (out / "known.png").stat().st_size > 10_000
@@ -141,11 +148,92 @@ def test_a_map_inside_its_run_is_a_hidden_layer_and_a_section_of_the_report(run:
     assert KNOWN_LAYER not in {layer.name for layer in subject.layers}
 
 
+# A photograph takes north 3 s and 0.06 s to send, south 6 s, beside 12.5 s for any number.
+MACHINES = """
+[[edge]]
+id = "north"
+position_m = [0.0, 40.0]
+aggregate_s = { constant = 2.0 }
+[[edge.device]]
+id = "north-1"
+init_s = {}
+train_s = { constant = 10.5, linear = 3.0 }
+model_mb = { linear = 0.25 }
+
+[[edge]]
+id = "south"
+position_m = [0.0, -40.0]
+aggregate_s = { constant = 2.0 }
+[[edge.device]]
+id = "south-1"
+init_s = {}
+train_s = { constant = 10.5, linear = 6.0 }
+model_mb = { linear = 0.25 }
+"""
+
+
+def proposed(run: Path, name: str, photographs: int, deadline_s: float | None) -> tuple[dict[str, Any], dict[str, bytes], list[str]]:
+    """Figures, every file of the flight, and decisions on the deadline."""
+    out, display = run.parent / name, Hearing()
+    system = run.parent / "machines.toml"
+    system.write_text(MACHINES)
+    request = NextFlightRequest(
+        run=run, out=out, photographs=photographs, system=system, deadline_s=deadline_s, resolution=4.0, safe_m=SAFE_M
+    )  # fmt: skip
+    figures = plan_next_flight(request, display)
+    files = {path.name: path.read_bytes() for path in (out / "next.geojson", *(out / "flight").iterdir()) if path.suffix != ".kmz"}
+    said = [event.decision.choice for event in display.heard if isinstance(event, Decided) and event.decision.topic == "deadline"]
+    return figures, files, said
+
+
+def test_a_deadline_leaves_out_the_views_of_least_gain(run: Path) -> None:
+    figures, files, said = proposed(run, "free", 6, None)
+    assert not said and all("training_s" not in row for row in figures["flight"])
+    loose_figures, loose, said = proposed(run, "loose", 6, 24.8)
+    # Four photographs take north 24.7 s, two take south 24.6 s.
+    assert [row["views"] for row in loose_figures["flight"]] == [4, 2]
+    assert loose == files and not said
+    tight_figures, tight, said = proposed(run, "tight", 6, 22.0)
+    assert said == ["2 of 6 views, those of least gain, are left out"]
+    assert tight == proposed(run, "fewer", 4, None)[1], "the best four, dealt as if four were asked for"
+    assert sum(row["views"] for row in tight_figures["flight"]) == tight_figures["views"] == 4
+    # Join and way to the cloud beside, at 50 and 100 Mbit/s.
+    assert all(row["training_s"] + 2.0 + 0.02 * row["views"] <= 22.0 for row in tight_figures["flight"])
+
+
+def test_a_deadline_that_no_photograph_meets_is_refused(run: Path) -> None:
+    out, system = run.parent / "none", run.parent / "machines.toml"
+    system.write_text(MACHINES)
+    for request, said in (
+        (
+            NextFlightRequest(run=run, out=out, photographs=2, system=system, deadline_s=12.0, resolution=4.0),
+            r"edge 'north', the fastest, 15\.6",
+        ),
+        (NextFlightRequest(run=run, out=out, photographs=2, system=system, deadline_s=0.0), "more than 0"),
+        (NextFlightRequest(run=run, out=out, photographs=2, deadline_s=60.0), "--system"),
+        (NextFlightRequest(run=run, out=out, system=system, deadline_s=60.0), "only the map was asked for"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            plan_next_flight(request, Hearing())
+        assert not out.exists()
+
+
+def test_an_edge_that_is_a_curve_alone_flies_nothing(run: Path) -> None:
+    system = run.parent / "curve.toml"
+    system.write_text(MACHINES + '[[edge]]\nid = "curve"\nposition_m = [0.0, 0.0]\ntime_s = { linear = 1.0 }\n')
+    out = run.parent / "curve"
+    with pytest.raises(BadInput, match="edge 'curve' has no devices that fly"):
+        plan_next_flight(NextFlightRequest(run=run, out=out, photographs=4, system=system, resolution=4.0), Hearing())
+
+
 def test_the_map_alone_has_no_flight_and_bad_requests_leave_nothing(run: Path) -> None:
     out = run.parent / "map"
     figures = plan_next_flight(NextFlightRequest(run=run, out=out, resolution=4.0), Hearing())
     assert "views" not in figures
     assert sorted(path.name for path in out.iterdir()) == ["known.geojson", "known.png", "known.tif", "known_map.tif"]
+    lines = next_flight_lines(figures, run)
+    assert f"surface: {figures['surface']} m²" in lines and "resolution: 4.0 m" in lines
+    assert lines[-1] == f"next: radiant plan --next {run} --photographs 13 --out OUT"
     nothing = run.parent / "nothing"
     for request, said in (
         (NextFlightRequest(run=run, out=nothing, photographs=0), "expected 1 or more"),

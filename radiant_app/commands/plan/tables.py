@@ -49,7 +49,8 @@ def next_flight_lines(result: dict[str, Any], run: Path) -> list[str]:
     lines = [f"{key}: {value}{units.get(key, '')}" for key, value in result.items() if key not in ("unit", "flight")]
     for row in result.get("flight", ()):
         trains = f", trained in {row['training_s']:g} s" if "training_s" in row else ""
-        lines.append(f"{row['device']}: {row['views']} views, {row['flight_s'] / 60:.1f} min, {row['batteries']} batteries{trains}")
+        batteries = "battery" if row["batteries"] == 1 else "batteries"
+        lines.append(f"{row['device']}: {row['views']} views, {row['flight_s'] / 60:.1f} min, {row['batteries']} {batteries}{trains}")
     folder = quote(str(run))
     then = f"join {folder} --photographs NEW" if "flight" in result else f"plan --next {folder} --photographs 13"
     return [*lines, f"next: {'fly, then ' * ('flight' in result)}radiant {then} --out OUT"]

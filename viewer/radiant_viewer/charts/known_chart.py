@@ -52,11 +52,12 @@ def known_picture(known_map: KnownMap, unit: str, flights: Sequence[FlownLine] =
         low, high = limits or (tuple(np.nanquantile(values, [0.02, 0.98])) if np.isfinite(values).any() else (0.0, 1.0))
         picture = axes.imshow(values, extent=extent, cmap=colors, vmin=low, vmax=high, interpolation="none", aspect="equal")
         axes.set_title(label, fontsize=10, color=INK_COLOR, loc="left")
+        if not np.isfinite(values).any():
+            axes.text(0.5, 0.5, "no prediction", transform=axes.transAxes, ha="center", color=INK_COLOR)
+            continue
         # Beside its panel, which stays as wide as the others.
         bar = figure.colorbar(picture, cax=axes.inset_axes((1.02, 0, 0.04, 1)))
         bar.ax.tick_params(labelsize=8)
-        if not np.isfinite(values).any():
-            axes.text(0.5, 0.5, "not measured", transform=axes.transAxes, ha="center", color=INK_COLOR)
     draw_kinds(panels[2], bands, extent)
     title = "What is weak, and the next flight" if flights else "What is weak"
     panels[2].set_title(title, fontsize=10, color=INK_COLOR, loc="left")
