@@ -38,7 +38,14 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.next_flight.candidates import FlightRules, air_over, candidate_views, usual_take_off
 from radiant_core.next_flight.choosing import COMPARED_FACETS, choose_views
 from radiant_core.next_flight.model_surface import MapView, facets_of_model
-from radiant_core.next_flight.predicted_error import error_samples, errors_in_views, fit_errors, mean_errors_db, rank_correlation
+from radiant_core.next_flight.predicted_error import (
+    error_samples,
+    errors_in_views,
+    fit_errors,
+    mean_errors_db,
+    rank_correlation,
+    typical_errors_db,
+)
 from radiant_core.next_flight.sightings import Knowledge, Sighting, Sights, known_by
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rasterize import resolve_backend
@@ -267,7 +274,7 @@ def _map_row(
         return list(errors_in_views(splats, cameras, pictures, sightings, cell))
 
     train_rows, held_rows = np.flatnonzero(~held_out), np.flatnonzero(held_out)
-    train_db = mean_errors_db(
+    train_db = typical_errors_db(
         count, sightings, errors(scene.cameras.select(train_rows), [images[row] for row in train_rows.tolist()], sightings)
     )
     held_cameras = scene.cameras.select(held_rows)

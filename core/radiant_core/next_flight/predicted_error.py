@@ -2,9 +2,10 @@
 
     y = −10 log10(mean squared error of a render about the facet's pixel)     dB, more is better,
         once one colour map per photograph is taken out (evaluate/color_correction.py)
-    y ≈ a + f(y in the training photographs) + g(log det J)                   f, g rising
+    y ≈ a + f(mean of y in the training photographs) + g(log det J)           f, g rising
 
-The first term knows how hard a place is to show, the second how well it was photographed. f and g
+The first term knows how hard a place is to show, the second how well it was photographed. The mean
+is of decibels: that of squared errors is the worst photograph's, where something is in front. f and g
 are fitted to held-out photographs by turns, each the closest rising function to what the other
 leaves (isotonic regression; Bacchetti, J. Am. Stat. Assoc. 84, 1989). It predicts for views like
 the photographs, not for any view. How far it can be trusted is measured on photographs that took no
@@ -141,6 +142,16 @@ def mean_errors_db(count: int, sightings: Sequence[Sighting], errors: Sequence[F
         total[sighting.rows[counts]] += error[counts]
         number[sighting.rows[counts]] += 1
     return np.where(number > 0, decibels(total / np.maximum(number, 1)), np.nan)
+
+
+def typical_errors_db(count: int, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> FloatArray:
+    """Mean (K,) over views of y at each of `count` facets; NaN where none sees one."""
+    total, number = np.zeros(count), np.zeros(count)
+    for sighting, error in zip(sightings, errors, strict=True):
+        counts = np.isfinite(error)
+        total[sighting.rows[counts]] += decibels(error[counts])
+        number[sighting.rows[counts]] += 1
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
 def decibels(squared: FloatArray) -> FloatArray:

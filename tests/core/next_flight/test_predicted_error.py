@@ -7,7 +7,14 @@ import pytest
 from scipy.stats import spearmanr
 
 from radiant_core.errors import BadInput
-from radiant_core.next_flight.predicted_error import ErrorSamples, errors_in_views, fit_errors, mean_errors_db, rank_correlation
+from radiant_core.next_flight.predicted_error import (
+    ErrorSamples,
+    errors_in_views,
+    fit_errors,
+    mean_errors_db,
+    rank_correlation,
+    typical_errors_db,
+)
 from radiant_core.next_flight.sightings import Sighting
 from radiant_core.render.rendered_view import render_views
 from tests.core.scenes import cameras_above, ground_splats
@@ -110,6 +117,18 @@ def test_equal_errors_share_their_rank_as_in_scipy() -> None:
     a, b = rng.normal(size=2000).round(1), rng.normal(size=2000).round(1)
     b[:1000] = a[:1000]
     assert rank_correlation(a, b) == pytest.approx(float(spearmanr(a, b)[0]), abs=1e-12)
+
+
+def test_a_typical_error_is_not_that_of_the_worst_photograph() -> None:
+    """Three photographs of 20, 30 and 40 dB, and a facet that one of them shows behind a mask."""
+    squared = (1e-2, 1e-3, 1e-4)
+    ones = np.ones(2, np.float32)
+    seen = Sighting(rows=np.array([0, 2]), pixels=np.ones((2, 2), np.float32), gsd=ones, toward=np.zeros((2, 3), np.float32), facing=ones)
+    errors = [np.array([error, np.nan if index else error]) for index, error in enumerate(squared)]
+    typical = typical_errors_db(3, [seen] * 3, errors)
+    np.testing.assert_allclose(typical, [30.0, np.nan, 20.0], rtol=1e-12)
+    # The mean of the squares is 3.7e-3.
+    assert mean_errors_db(3, [seen] * 3, errors)[0] == pytest.approx(24.32, abs=0.01)
 
 
 def test_a_smaller_picture_shows_the_same_facets_by_wider_pixels() -> None:
