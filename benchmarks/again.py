@@ -39,12 +39,12 @@ from radiant_core.next_flight.candidates import FlightRules, air_over, candidate
 from radiant_core.next_flight.choosing import COMPARED_FACETS, choose_views
 from radiant_core.next_flight.model_surface import MapView, facets_of_model
 from radiant_core.next_flight.predicted_error import (
+    TrainingErrors,
     error_samples,
     errors_in_views,
     fit_errors,
     mean_errors_db,
     rank_correlation,
-    typical_errors_db,
 )
 from radiant_core.next_flight.sightings import Knowledge, Sighting, Sights, known_by
 from radiant_core.numerics import FloatArray
@@ -274,13 +274,13 @@ def _map_row(
         return list(errors_in_views(splats, cameras, pictures, sightings, cell))
 
     train_rows, held_rows = np.flatnonzero(~held_out), np.flatnonzero(held_out)
-    train_db = typical_errors_db(
+    train = TrainingErrors(
         count, sightings, errors(scene.cameras.select(train_rows), [images[row] for row in train_rows.tolist()], sightings)
     )
     held_cameras = scene.cameras.select(held_rows)
     held_seen = sights.all_of(held_cameras)
     samples = error_samples(
-        train_db, known_facets.score, held_seen, errors(held_cameras, [images[row] for row in held_rows.tolist()], held_seen)
+        train, known_facets.score, held_seen, errors(held_cameras, [images[row] for row in held_rows.tolist()], held_seen)
     )
     row = MapRow(
         seed=town.seed, rank_on_path=None, rank_off_path=None, rank_held_out=None, good_on_path=None,
@@ -291,7 +291,7 @@ def _map_row(
     except BadInput as error:
         print(f"seed {town.seed}: errors are not predicted: {error}", file=sys.stderr)
         return row
-    predicted_db = model.predict(train_db, known_facets.score)
+    predicted_db = model.predict(np.arange(count), train.typical_db(), known_facets.score)
     scored = town.scored_cameras()
     seen_scored = sights.all_of(scored)
     errors_scored = errors(scored, town.truths, seen_scored)

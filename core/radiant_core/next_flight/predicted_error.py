@@ -2,13 +2,15 @@
 
     y = −10 log10(mean squared error of a render about the facet's pixel)     dB, more is better,
         once one colour map per photograph is taken out (evaluate/color_correction.py)
-    y ≈ a + f(mean of y in the training photographs) + g(log det J)           f, g rising
+    y ≈ a + f(mean of y in the training photographs) + g(log det J) + r       f, g rising
 
 The first term knows how hard a place is to show, the second how well it was photographed. The mean
-is of decibels: that of squared errors is the worst photograph's, where something is in front. f and g
-are fitted to held-out photographs by turns, each the closest rising function to what the other
-leaves (isotonic regression; Bacchetti, J. Am. Stat. Assoc. 84, 1989). It predicts for views like
-the photographs, not for any view. How far it can be trusted is measured on photographs that took no
+is of decibels: that of squared errors is the worst photograph's, where something is in front. For a
+view it is weighted by how alike the photographs look, from which side and how near; for the map it
+is that of all. r = Σ residuals / (n + 1) of a cell's n looks in held-out photographs: what they
+showed counts as much as what was expected. f and g are fitted to held-out photographs by turns, each the closest rising
+function to what the other leaves (isotonic regression; Bacchetti, J. Am. Stat. Assoc. 84, 1989). It
+predicts for views like the photographs, not for any view. How far it can be trusted is measured on photographs that took no
 part in its fit, by cell, a mean over those that show it: `margin_db` is what nine of ten cells
 there exceed, `rank` the correlation of ranks. M samples: a facet in a held-out photograph.
 """
@@ -39,12 +41,14 @@ NUM_FOLDS, NUM_ROUNDS = 5, 8
 MARGIN = 0.1
 """Share of the cells that may be worse than they are called."""
 MIN_SAMPLES = 100
+ALIKE_DEG, ALIKE_RATIO, LEAST_WEIGHT = 20.0, 0.5, 0.01
+"""Two looks at a facet weigh exp(−(angle / 20°)² − (ln of their GSDs' ratio / 0.5)²) and 0.01 more."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorSamples:
     """rows (M,) of facets, photograph (M,) that saw it, held_db (M,): y there, train_db (M,): mean
-    y of the training photographs at that facet, score (M,): log det J."""
+    y of the training photographs at that facet for such a view, score (M,): log det J."""
 
     rows: Rows
     photograph: NDArray[np.int64]
@@ -86,6 +90,9 @@ class ErrorModel:
     middle_db: float
     by_training: Rising
     by_score: Rising
+    shown: Rows
+    shown_db: FloatArray
+    """Facets (S,) that held-out photographs show, rising, and r of each."""
     num_cells: int
     num_photographs: int
     margin_db: float | None = None
@@ -96,9 +103,11 @@ class ErrorModel:
     """Share of the cells of photographs apart that were at least as good as predicted less the
     margin of the others."""
 
-    def predict(self, train_db: FloatArray, score: FloatArray) -> FloatArray:
-        """y (K,) of facets; NaN where no training photograph shows one."""
-        return np.where(np.isfinite(train_db), self.middle_db + self.by_training(np.nan_to_num(train_db)) + self.by_score(score), np.nan)
+    def predict(self, rows: Rows, train_db: FloatArray, score: FloatArray) -> FloatArray:
+        """y (K,) of facets `rows`; NaN where no training photograph shows one."""
+        at = np.minimum(np.searchsorted(self.shown, rows), len(self.shown) - 1)
+        expected_db = self.middle_db + self.by_training(np.nan_to_num(train_db)) + self.by_score(score)
+        return np.where(np.isfinite(train_db), expected_db + np.where(self.shown[at] == rows, self.shown_db[at], 0.0), np.nan)
 
 
 def errors_in_views(
@@ -144,14 +153,39 @@ def mean_errors_db(count: int, sightings: Sequence[Sighting], errors: Sequence[F
     return np.where(number > 0, decibels(total / np.maximum(number, 1)), np.nan)
 
 
-def typical_errors_db(count: int, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> FloatArray:
-    """Mean (K,) over views of y at each of `count` facets; NaN where none sees one."""
-    total, number = np.zeros(count), np.zeros(count)
-    for sighting, error in zip(sightings, errors, strict=True):
-        counts = np.isfinite(error)
-        total[sighting.rows[counts]] += decibels(error[counts])
-        number[sighting.rows[counts]] += 1
-    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+class TrainingErrors:
+    """y of training photographs at `count` facets, from the squared errors (R,) of their
+    sightings."""
+
+    def __init__(self, count: int, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> None:
+        counted = [np.isfinite(error) for error in errors]
+        rows = np.concatenate([sighting.rows[counts] for sighting, counts in zip(sightings, counted, strict=True)])
+        order = np.argsort(rows, kind="stable")
+
+        def sorted_by_facet(parts: Iterable[NDArray[np.floating]]) -> FloatArray:
+            return np.concatenate([part[counts] for part, counts in zip(parts, counted, strict=True)]).astype(np.float64)[order]
+
+        self._db = decibels(sorted_by_facet(errors))
+        self._toward = sorted_by_facet(sighting.toward for sighting in sightings)
+        self._log_gsd = np.log(sorted_by_facet(sighting.gsd for sighting in sightings))
+        self._num = np.bincount(rows, minlength=count)
+        self._first = np.cumsum(self._num) - self._num
+
+    def typical_db(self) -> FloatArray:
+        """Mean y (K,) of all; NaN where none sees a facet."""
+        total = np.bincount(np.repeat(np.arange(len(self._num)), self._num), weights=self._db, minlength=len(self._num))
+        return np.where(self._num > 0, total / np.maximum(self._num, 1), np.nan)
+
+    def seen_alike_db(self, sighting: Sighting) -> FloatArray:
+        """Mean y (R,) at the facets of another view, of the photographs that see each as it does."""
+        num = self._num[sighting.rows]
+        look = np.repeat(np.arange(len(num)), num)
+        of = np.arange(len(look)) - np.repeat(np.cumsum(num) - num, num) + self._first[sighting.rows][look]
+        angles_deg = np.degrees(np.arccos(np.clip((self._toward[of] * sighting.toward[look]).sum(axis=1), -1, 1)))
+        ratios = self._log_gsd[of] - np.log(sighting.gsd.astype(np.float64))[look]
+        weights = np.exp(-np.square(angles_deg / ALIKE_DEG) - np.square(ratios / ALIKE_RATIO)) + LEAST_WEIGHT
+        weight, total = (np.bincount(look, weights=part, minlength=len(num)) for part in (weights, weights * self._db[of]))
+        return np.where(num > 0, total / np.maximum(weight, LEAST_WEIGHT), np.nan)
 
 
 def decibels(squared: FloatArray) -> FloatArray:
@@ -173,12 +207,13 @@ def _ranks(values: FloatArray) -> FloatArray:
     return (np.cumsum(counts) - (counts - 1) / 2)[owner]
 
 
-def error_samples(train_db: FloatArray, score: FloatArray, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> ErrorSamples:
+def error_samples(train: TrainingErrors, score: FloatArray, sightings: Sequence[Sighting], errors: Sequence[FloatArray]) -> ErrorSamples:
     """Samples of held-out photographs at facets that training photographs show too."""
     rows = np.concatenate([sighting.rows for sighting in sightings]) if sightings else np.zeros(0, np.int64)
     photograph = np.repeat(np.arange(len(sightings)), [len(sighting.rows) for sighting in sightings])
     held_db = decibels(np.concatenate(errors)) if errors else np.zeros(0)
-    samples = ErrorSamples(rows=rows, photograph=photograph, held_db=held_db, train_db=train_db[rows], score=score[rows])
+    train_db = np.concatenate([train.seen_alike_db(sighting) for sighting in sightings]) if sightings else np.zeros(0)
+    samples = ErrorSamples(rows=rows, photograph=photograph, held_db=held_db, train_db=train_db, score=score[rows])
     return samples.select(np.isfinite(samples.train_db) & np.isfinite(samples.held_db))
 
 
@@ -198,13 +233,15 @@ def fit_errors(samples: ErrorSamples) -> ErrorModel:
     for fold in range(int(folds.max()) + 1):
         others = _fit(samples.select(folds != fold))
         fold_samples = samples.select(folds == fold)
-        predicted[folds == fold] = others.predict(fold_samples.train_db, fold_samples.score)
+        predicted[folds == fold] = others.predict(fold_samples.rows, fold_samples.train_db, fold_samples.score)
     predicted_db, true_db = _by_cell(samples, predicted)
     rank = rank_correlation(predicted_db, true_db)
     return ErrorModel(
         middle_db=model.middle_db,
         by_training=model.by_training,
         by_score=model.by_score,
+        shown=model.shown,
+        shown_db=model.shown_db,
         num_cells=model.num_cells,
         num_photographs=model.num_photographs,
         margin_db=float(max(0.0, -np.quantile(true_db - predicted_db, MARGIN))),
@@ -242,11 +279,15 @@ def _fit(samples: ErrorSamples) -> ErrorModel:
     for _ in range(NUM_ROUNDS):
         by_training = of_training.closest_rising(residuals - of_score.each(by_score))
         by_score = of_score.closest_rising(residuals - of_training.each(by_training))
+    shown, owner, counts = np.unique(samples.rows, return_inverse=True, return_counts=True)
+    residuals = residuals - of_training.each(by_training) - of_score.each(by_score)
     return ErrorModel(
         middle_db=middle_db,
         by_training=by_training,
         by_score=by_score,
-        num_cells=len(np.unique(samples.rows)),
+        shown=shown,
+        shown_db=np.bincount(owner, weights=residuals) / (counts + 1),
+        num_cells=len(shown),
         num_photographs=len(np.unique(samples.photograph)),
     )
 

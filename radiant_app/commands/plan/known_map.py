@@ -170,7 +170,7 @@ def _errors(
 ) -> tuple[FloatArray, ErrorModel | None]:
     """Predicted error (K,) in dB of each facet, NaN where there is none, and the prediction."""
     from radiant_core.io.photos.masks import pixel_weights
-    from radiant_core.next_flight.predicted_error import error_samples, errors_in_views, fit_errors, typical_errors_db
+    from radiant_core.next_flight.predicted_error import TrainingErrors, error_samples, errors_in_views, fit_errors
     from radiant_core.train.photographs import load_images
 
     nothing = np.full(len(sights.facets), np.nan)
@@ -195,10 +195,10 @@ def _errors(
             view_errors.append(error)
             report(len(view_errors), len(ordered), "photographs")
     split = len(survey.trained)
-    train_db = typical_errors_db(len(sights.facets), sightings[:split], view_errors[:split])
+    train = TrainingErrors(len(sights.facets), sightings[:split], view_errors[:split])
     try:
-        model = fit_errors(error_samples(train_db, score, sightings[split:], view_errors[split:]))
+        model = fit_errors(error_samples(train, score, sightings[split:], view_errors[split:]))
     except BadInput as error:
         display(Warned(stage=STAGE, message=f"errors are not predicted: {error}"))
         return nothing, None
-    return model.predict(train_db, score), model
+    return model.predict(np.arange(len(score)), train.typical_db(), score), model

@@ -8,12 +8,14 @@ from scipy.stats import spearmanr
 
 from radiant_core.errors import BadInput
 from radiant_core.next_flight.predicted_error import (
+    LEAST_WEIGHT,
     ErrorSamples,
+    TrainingErrors,
+    error_samples,
     errors_in_views,
     fit_errors,
     mean_errors_db,
     rank_correlation,
-    typical_errors_db,
 )
 from radiant_core.next_flight.sightings import Sighting
 from radiant_core.render.rendered_view import render_views
@@ -33,7 +35,7 @@ def test_a_law_that_rises_in_both_is_recovered() -> None:
     model = fit_errors(samples)
     truth = 0.8 * samples.train_db + 2.0 * np.sqrt(samples.score)
     # Noise of 1 dB over 3,000 samples in steps of some fifty: a few tenths of a dB.
-    assert np.abs(model.predict(samples.train_db, samples.score) - truth).mean() < 0.3
+    assert np.abs(model.predict(np.full(3000, -1), samples.train_db, samples.score) - truth).mean() < 0.3
     assert (np.diff(model.by_training.values) >= 0).all()
     assert (np.diff(model.by_score.values) >= 0).all()
     assert model.rank is not None and model.rank > 0.9
@@ -119,16 +121,67 @@ def test_equal_errors_share_their_rank_as_in_scipy() -> None:
     assert rank_correlation(a, b) == pytest.approx(float(spearmanr(a, b)[0]), abs=1e-12)
 
 
+def look(rows: list[int], toward: list[tuple[float, float, float]], gsd: float) -> Sighting:
+    count = len(rows)
+    unit = np.array(toward, np.float32) / np.linalg.norm(toward, axis=1, keepdims=True).astype(np.float32)
+    ones = np.ones(count, np.float32)
+    return Sighting(rows=np.array(rows), pixels=np.ones((count, 2), np.float32), gsd=gsd * ones, toward=unit, facing=ones)
+
+
 def test_a_typical_error_is_not_that_of_the_worst_photograph() -> None:
     """Three photographs of 20, 30 and 40 dB, and a facet that one of them shows behind a mask."""
     squared = (1e-2, 1e-3, 1e-4)
-    ones = np.ones(2, np.float32)
-    seen = Sighting(rows=np.array([0, 2]), pixels=np.ones((2, 2), np.float32), gsd=ones, toward=np.zeros((2, 3), np.float32), facing=ones)
+    seen = look([0, 2], [(0, 0, 1)] * 2, 1.0)
     errors = [np.array([error, np.nan if index else error]) for index, error in enumerate(squared)]
-    typical = typical_errors_db(3, [seen] * 3, errors)
-    np.testing.assert_allclose(typical, [30.0, np.nan, 20.0], rtol=1e-12)
+    train = TrainingErrors(3, [seen] * 3, errors)
+    np.testing.assert_allclose(train.typical_db(), [30.0, np.nan, 20.0], rtol=1e-12)
+    # Alike all three count the same, whatever the order of the facets.
+    np.testing.assert_allclose(train.seen_alike_db(look([2, 1, 0], [(0, 0, 1)] * 3, 1.0)), [20.0, np.nan, 30.0], rtol=1e-12)
     # The mean of the squares is 3.7e-3.
     assert mean_errors_db(3, [seen] * 3, errors)[0] == pytest.approx(24.32, abs=0.01)
+
+
+def test_photographs_that_see_a_facet_alike_count_most() -> None:
+    """20 dB from above, 30 dB from 20° aside, 40 dB from above at e times the GSD."""
+    aside = (np.sin(np.radians(20)), 0.0, np.cos(np.radians(20)))
+    seen = [look([0], [(0, 0, 1)], 1.0), look([0], [aside], 1.0), look([0], [(0, 0, 1)], float(np.e))]
+    train = TrainingErrors(1, seen, [np.array([error]) for error in (1e-2, 1e-3, 1e-4)])
+    weights = LEAST_WEIGHT + np.exp(-np.array([0.0, 1.0, 4.0]))
+    expected = (weights * [20.0, 30.0, 40.0]).sum() / weights.sum()
+    # float32 directions.
+    assert train.seen_alike_db(look([0], [(0, 0, 1)], 1.0))[0] == pytest.approx(expected, abs=1e-4)
+
+
+def test_oblique_photographs_are_judged_by_oblique_ones() -> None:
+    """Cells as good from above as they are poor from aside: the mean of all tells nothing."""
+    rng, count = np.random.default_rng(0), 600
+    quality_db = rng.uniform(-6, 6, count)
+    rows, above, aside = list(range(count)), [(0.0, 0.0, 1.0)] * count, [(1.0, 0.0, 0.5)] * count
+    squared = {1: 10 ** (-(25 + quality_db) / 10), -1: 10 ** (-(25 - quality_db) / 10)}
+    seen = [look(rows, above, 1.0), look(rows, aside, 1.0)]
+    train = TrainingErrors(count, seen, [squared[1], squared[-1]])
+    held = [look(rows[:300], above[:300], 1.0), look(rows[300:], aside[300:], 1.0)] * 2
+    errors = [squared[1][:300], squared[-1][300:]] * 2
+    rank = fit_errors(error_samples(train, np.zeros(count), held, errors)).rank
+    assert np.ptp(train.typical_db()) < 1e-9
+    assert rank is not None and rank > 0.95
+
+
+def test_what_held_out_photographs_show_of_a_cell_counts_there() -> None:
+    """Of each cell three looks agree by 6 dB with no cause that the model knows."""
+    count = 400
+    surprise_db = np.where(np.arange(count) % 2 == 0, 6.0, -6.0)
+    rows = np.tile(np.arange(count), 3)
+    flat = ErrorSamples(
+        rows=rows, photograph=np.repeat(np.arange(3), count), held_db=25.0 + surprise_db[rows], train_db=np.full(3 * count, 25.0),
+        score=np.zeros(3 * count),
+    )  # fmt: skip
+    model = fit_errors(flat)
+    facets = np.array([0, 1, count])
+    # Three quarters of what three looks say; nothing at a facet that none shows.
+    np.testing.assert_allclose(model.predict(facets, np.full(3, 25.0), np.zeros(3)), [29.5, 20.5, 25.0], atol=1e-9)
+    # Judged by two photographs for the third.
+    assert model.rank == pytest.approx(1.0)
 
 
 def test_a_smaller_picture_shows_the_same_facets_by_wider_pixels() -> None:
@@ -147,7 +200,7 @@ def test_a_smaller_picture_shows_the_same_facets_by_wider_pixels() -> None:
 
 def test_what_nothing_shows_has_no_prediction() -> None:
     model = fit_errors(made_up())
-    assert np.isnan(model.predict(np.array([np.nan]), np.array([1.0]))).all()
+    assert np.isnan(model.predict(np.array([0]), np.array([np.nan]), np.array([1.0]))).all()
 
 
 def test_errors_are_those_about_the_pixel() -> None:
