@@ -291,7 +291,7 @@ def _map_row(
     except BadInput as error:
         print(f"seed {town.seed}: errors are not predicted: {error}", file=sys.stderr)
         return row
-    predicted_db = model.predict(np.arange(count), train.typical_db(), known_facets.score)
+    predicted_db = model.predict(train.typical_db(), known_facets.score)
     scored = town.scored_cameras()
     seen_scored = sights.all_of(scored)
     errors_scored = errors(scored, town.truths, seen_scored)

@@ -2,13 +2,12 @@
 
     y = −10 log10(mean squared error of a render about the facet's pixel)     dB, more is better,
         once one colour map per photograph is taken out (evaluate/color_correction.py)
-    y ≈ a + f(mean of y in the training photographs) + g(log det J) + r       f, g rising
+    y ≈ a + f(mean of y in the training photographs) + g(log det J)           f, g rising
 
 The first term knows how hard a place is to show, the second how well it was photographed. The mean
 is of decibels: that of squared errors is the worst photograph's, where something is in front. For a
 view it is weighted by how alike the photographs look, from which side and how near; for the map it
-is that of all. r = Σ residuals / (n + 1) of a cell's n looks in held-out photographs: what they
-showed counts as much as what was expected. f and g are fitted to held-out photographs by turns, each the closest rising
+is that of all. f and g are fitted to held-out photographs by turns, each the closest rising
 function to what the other leaves (isotonic regression; Bacchetti, J. Am. Stat. Assoc. 84, 1989). It
 predicts for views like the photographs, not for any view. How far it can be trusted is measured on photographs that took no
 part in its fit, by cell, a mean over those that show it: `margin_db` is what nine of ten cells
@@ -90,9 +89,6 @@ class ErrorModel:
     middle_db: float
     by_training: Rising
     by_score: Rising
-    shown: Rows
-    shown_db: FloatArray
-    """Facets (S,) that held-out photographs show, rising, and r of each."""
     num_cells: int
     num_photographs: int
     margin_db: float | None = None
@@ -103,11 +99,9 @@ class ErrorModel:
     """Share of the cells of photographs apart that were at least as good as predicted less the
     margin of the others."""
 
-    def predict(self, rows: Rows, train_db: FloatArray, score: FloatArray) -> FloatArray:
-        """y (K,) of facets `rows`; NaN where no training photograph shows one."""
-        at = np.minimum(np.searchsorted(self.shown, rows), len(self.shown) - 1)
-        expected_db = self.middle_db + self.by_training(np.nan_to_num(train_db)) + self.by_score(score)
-        return np.where(np.isfinite(train_db), expected_db + np.where(self.shown[at] == rows, self.shown_db[at], 0.0), np.nan)
+    def predict(self, train_db: FloatArray, score: FloatArray) -> FloatArray:
+        """y (K,) of facets; NaN where no training photograph shows one."""
+        return np.where(np.isfinite(train_db), self.middle_db + self.by_training(np.nan_to_num(train_db)) + self.by_score(score), np.nan)
 
 
 def errors_in_views(
@@ -233,15 +227,13 @@ def fit_errors(samples: ErrorSamples) -> ErrorModel:
     for fold in range(int(folds.max()) + 1):
         others = _fit(samples.select(folds != fold))
         fold_samples = samples.select(folds == fold)
-        predicted[folds == fold] = others.predict(fold_samples.rows, fold_samples.train_db, fold_samples.score)
+        predicted[folds == fold] = others.predict(fold_samples.train_db, fold_samples.score)
     predicted_db, true_db = _by_cell(samples, predicted)
     rank = rank_correlation(predicted_db, true_db)
     return ErrorModel(
         middle_db=model.middle_db,
         by_training=model.by_training,
         by_score=model.by_score,
-        shown=model.shown,
-        shown_db=model.shown_db,
         num_cells=model.num_cells,
         num_photographs=model.num_photographs,
         margin_db=float(max(0.0, -np.quantile(true_db - predicted_db, MARGIN))),
@@ -279,15 +271,11 @@ def _fit(samples: ErrorSamples) -> ErrorModel:
     for _ in range(NUM_ROUNDS):
         by_training = of_training.closest_rising(residuals - of_score.each(by_score))
         by_score = of_score.closest_rising(residuals - of_training.each(by_training))
-    shown, owner, counts = np.unique(samples.rows, return_inverse=True, return_counts=True)
-    residuals = residuals - of_training.each(by_training) - of_score.each(by_score)
     return ErrorModel(
         middle_db=middle_db,
         by_training=by_training,
         by_score=by_score,
-        shown=shown,
-        shown_db=np.bincount(owner, weights=residuals) / (counts + 1),
-        num_cells=len(shown),
+        num_cells=len(np.unique(samples.rows)),
         num_photographs=len(np.unique(samples.photograph)),
     )
 

@@ -201,4 +201,4 @@ def _errors(
     except BadInput as error:
         display(Warned(stage=STAGE, message=f"errors are not predicted: {error}"))
         return nothing, None
-    return model.predict(np.arange(len(score)), train.typical_db(), score), model
+    return model.predict(train.typical_db(), score), model

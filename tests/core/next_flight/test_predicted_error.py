@@ -35,7 +35,7 @@ def test_a_law_that_rises_in_both_is_recovered() -> None:
     model = fit_errors(samples)
     truth = 0.8 * samples.train_db + 2.0 * np.sqrt(samples.score)
     # Noise of 1 dB over 3,000 samples in steps of some fifty: a few tenths of a dB.
-    assert np.abs(model.predict(np.full(3000, -1), samples.train_db, samples.score) - truth).mean() < 0.3
+    assert np.abs(model.predict(samples.train_db, samples.score) - truth).mean() < 0.3
     assert (np.diff(model.by_training.values) >= 0).all()
     assert (np.diff(model.by_score.values) >= 0).all()
     assert model.rank is not None and model.rank > 0.9
@@ -167,23 +167,6 @@ def test_oblique_photographs_are_judged_by_oblique_ones() -> None:
     assert rank is not None and rank > 0.95
 
 
-def test_what_held_out_photographs_show_of_a_cell_counts_there() -> None:
-    """Of each cell three looks agree by 6 dB with no cause that the model knows."""
-    count = 400
-    surprise_db = np.where(np.arange(count) % 2 == 0, 6.0, -6.0)
-    rows = np.tile(np.arange(count), 3)
-    flat = ErrorSamples(
-        rows=rows, photograph=np.repeat(np.arange(3), count), held_db=25.0 + surprise_db[rows], train_db=np.full(3 * count, 25.0),
-        score=np.zeros(3 * count),
-    )  # fmt: skip
-    model = fit_errors(flat)
-    facets = np.array([0, 1, count])
-    # Three quarters of what three looks say; nothing at a facet that none shows.
-    np.testing.assert_allclose(model.predict(facets, np.full(3, 25.0), np.zeros(3)), [29.5, 20.5, 25.0], atol=1e-9)
-    # Judged by two photographs for the third.
-    assert model.rank == pytest.approx(1.0)
-
-
 def test_a_smaller_picture_shows_the_same_facets_by_wider_pixels() -> None:
     cameras = cameras_above([(0.0, 0.0)])
     ones = np.ones(2, np.float32)
@@ -200,7 +183,7 @@ def test_a_smaller_picture_shows_the_same_facets_by_wider_pixels() -> None:
 
 def test_what_nothing_shows_has_no_prediction() -> None:
     model = fit_errors(made_up())
-    assert np.isnan(model.predict(np.array([0]), np.array([np.nan]), np.array([1.0]))).all()
+    assert np.isnan(model.predict(np.array([np.nan]), np.array([1.0]))).all()
 
 
 def test_errors_are_those_about_the_pixel() -> None:
