@@ -23,7 +23,7 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import RenderOutput
 from radiant_core.splats import Splats
-from radiant_core.train.config import TrainConfig
+from radiant_core.train.config import TrainConfig, without_mean
 from radiant_core.train.densify.density import AdaptiveDensity, DensityStatistics
 from radiant_core.train.densify.mcmc import RelocatedDensity
 from radiant_core.train.densify.policies import Mcmc, NoDensification
@@ -76,6 +76,9 @@ class Group:
     def stepping(self) -> TrainConfig:
         """The settings of steps of `views_per_step` views."""
         views, config = self.views_per_step, self.config
+        if self.overlaps:
+            # Gradients a step old want smaller rates, with the mean of the last steps too.
+            config = replace(config, **{**without_mean(config), "average_from": config.average_from})
         factor, density = math.sqrt(views), config.density
         if not isinstance(density, NoDensification):
             density = replace(density, every=_edits_every(density.every, views))
