@@ -19,6 +19,7 @@ from radiant_app.workers.sources import NO_POSES, detect_source, reconstruct_sou
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.photos.masks import save_mask
+from radiant_core.io.poses.recognise import read_alignment
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.pose_project import read_named, said_of
 from radiant_core.sfm.world_frame.placement import Placement
@@ -76,12 +77,27 @@ def test_opensfm_is_found_where_odm_leaves_it(project) -> None:
     assert detect_source(folder)[2] == folder / "opensfm" / "reconstruction.json"
 
 
-def test_polycam_has_its_photographs_beside_its_cameras(tmp_path: Path, bent) -> None:
+def test_polycam_has_its_photographs_beside_its_cameras(tmp_path: Path, bent, monkeypatch) -> None:
     folder, truth = bent
     writers.polycam(tmp_path, truth)
     for name in ("images", "corrected_images"):
         shutil.copytree(folder / "images", tmp_path / "keyframes" / name)
     assert detect_source(tmp_path)[1] == tmp_path / "keyframes" / "corrected_images"
+    cameras = tmp_path / "keyframes" / "corrected_cameras"
+    monkeypatch.chdir(cameras)
+    named = Path(min(path.name for path in cameras.iterdir()))
+    assert detect_source(Path("../.."), named)[1] == tmp_path / "keyframes" / "corrected_images"
+
+
+def test_an_alignment_may_be_named_from_within_its_folder(project, monkeypatch) -> None:
+    folder, truth = project
+    writers.transforms(folder, truth)
+    monkeypatch.chdir(folder)
+    assert detect_source(Path(), Path("transforms.json"))[:2] == ("alignment", Path("images"))
+    monkeypatch.chdir(folder / "images")
+    assert detect_source(Path(), Path("missing"))[1] == Path()
+    with pytest.raises(BadInput, match="missing does not exist: expected a file with an alignment"):
+        read_alignment(Path("missing"), lambda name: (4, 3))
 
 
 def test_older_odm_leaves_bundle_files_beside_the_same_alignment(project) -> None:

@@ -109,6 +109,8 @@ def read_alignment(path: Path, size_of: SizeOf) -> PoseFile:
     is of no format that is read, or of a broken one."""
     if any((path / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
         return read_colmap_panoramas(path, size_of)
+    if not path.exists():
+        raise BadInput(f"{path} does not exist: expected a file with an alignment, {READABLE}, or the folder of a COLMAP model.")
     if not path.is_file():
         raise BadInput(f"{path} is no file with an alignment: expected {READABLE}, or the folder of a COLMAP model.")
     form = format_of(path)
@@ -127,19 +129,22 @@ def _files_in(folder: Path) -> Iterator[Path]:
 def photographs_beside(path: Path, folder: Path) -> Path:
     """The folder of an alignment's photographs: `folder`, or that of Polycam's cameras, which has
     them twice."""
-    photo_folder = path.parent.with_name(path.parent.name.replace("cameras", "images"))
-    return photo_folder if path.parent.name in polycam.FOLDERS and photo_folder.is_dir() else folder
+    parent = path.absolute().parent
+    if parent.name not in polycam.FOLDERS:
+        return folder
+    photo_folder = parent.with_name(parent.name.replace("cameras", "images"))
+    return photo_folder if photo_folder.is_dir() else folder
 
 
 def _first_of(path: Path) -> Path:
     """Of the files that are one alignment together, the one that is read."""
-    together = [path]
+    together, parent = [path], path.absolute().parent
     if path.name in SPLIT_NAMES:
         together = [path.with_name(name) for name in SPLIT_NAMES]
     elif path.name.endswith((pix4d.INTERNAL, pix4d.EXTERNAL)):
         together = [pix4d.sibling(path, pix4d.INTERNAL), path]
-    elif path.parent.name in polycam.FOLDERS and path.suffix == ".json":
-        folders = [path.parent.parent / name for name in polycam.FOLDERS]
+    elif parent.name in polycam.FOLDERS and path.suffix == ".json":
+        folders = [parent.with_name(name) for name in polycam.FOLDERS]
         together = [camera_path for folder in folders for camera_path in sorted(folder.glob("*.json"))]
     return next(part for part in (*together, path) if part.is_file())
 
