@@ -9,7 +9,7 @@ mean colour.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import repeat
 from pathlib import Path
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from radiant_app.reporting import EventReporter
 from radiant_app.workers.delivering import belongs_to_run, deliver
+from radiant_app.workers.score_files import LPIPS_NAME, SCENE_NAME, SCORES_NAME, version_file
 from radiant_app.workers.scores import scored_name
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, ScoreTask
 from radiant_app.workers.training import MASKS
@@ -27,14 +28,8 @@ from radiant_core.cameras import Cameras
 from radiant_core.choices import Version
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import (
-    FIGURES,
-    NO_FLIP_REASON,
-    NO_LPIPS_REASON,
-    ImageErrors,
     image_errors,
     inner_pixels,
-    mean_errors,
-    median_errors,
     psnr_db,
     ssim,
 )
@@ -62,22 +57,8 @@ from radiant_core.splats import Splats
 from radiant_core.train.photographs import load_images, load_training_views
 from radiant_core.train.views import TrainingViews
 
-LPIPS_NAME = "lpips.safetensors"
-"""Weights of LPIPS in the folder where a scene is scored."""
-SCORES_NAME = "scores.json"
-"""Figures that a machine reports of its held-out photographs."""
-SCENE_NAME = "scene.ply"
-PICTURE_KINDS = ("photographs", "renders", "differences", "canonical")
-"""Folders with one PNG per held-out photograph; the last where light is modelled."""
-
-
 NUM_LOADED = 16
 """Photographs in memory at a time while versions of a scene are compared."""
-
-
-def version_file(name: Version) -> str:
-    """The file of another version of the scene than that in scene.ply, beside it."""
-    return f"{name}.ply"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -354,20 +335,6 @@ def select_scored(cameras: Cameras, masks: Path | None, warn: Callable[[str], No
     for name in np.array(cameras.names)[~has_pixels]:
         warn(f"the mask of the held-out photograph {name} leaves nothing to score: it is left out")
     return cameras.select(np.flatnonzero(has_pixels)), [weight for weight, scored in zip(used, has_pixels, strict=True) if scored]
-
-
-def summarize_scores(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | None) -> dict[str, Any]:
-    """Summarize rows of `score_images`: means, medians, reasons for missing figures, the rows."""
-    errors = [ImageErrors(name=row["name"], **{figure: row[figure] for figure in FIGURES}) for row in rows]
-    mean, median = mean_errors(errors), median_errors(errors)
-    return {
-        **mean.figures(),
-        "median": median.figures(),
-        "flip_reason": NO_FLIP_REASON if mean.flip is None else None,
-        "lpips_reason": NO_LPIPS_REASON if mean.lpips is None else None,
-        "lpips_network": lpips_network,
-        "images": list(rows),
-    }
 
 
 def png_bytes(image: NDArray[np.uint8]) -> bytes:

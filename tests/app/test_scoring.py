@@ -16,7 +16,8 @@ from radiant_app.events import Decided
 from radiant_app.report.html import describe_unscored
 from radiant_app.reporting import EventReporter
 from radiant_app.run.scoring import Scoring, ScoringMachine, combine_figures
-from radiant_app.workers.evaluation import SCORES_NAME, ScoredImage, png_bytes, run_score
+from radiant_app.workers.evaluation import ScoredImage, png_bytes, run_score
+from radiant_app.workers.score_files import SCORES_NAME
 from radiant_app.workers.scores import read_scores
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, Move, ScoreTask
 from radiant_core.cameras import Cameras

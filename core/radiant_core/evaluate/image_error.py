@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_pair import Used, check_image_pair, check_used, replace_unused
@@ -28,6 +29,8 @@ SSIM_WINDOW_PX = 11
 SSIM_SIGMA_PX = 1.5
 SSIM_C1 = 0.01**2
 SSIM_C2 = 0.03**2
+LPIPS_SIDE_PX: dict[LpipsNetwork, int] = {"vgg": 16, "alex": 31}
+"""A shorter image would vanish before the last tap."""
 
 MIN_SQUARED_ERROR = 1e-10
 """Equal images count as 100 dB, so that every figure stays finite; 8-bit photographs cannot show
