@@ -89,6 +89,12 @@ class ScoredImage:
     canonical: NDArray[np.float32] | None = None
     """The render in the model's own light, where `view` has the photograph's; None: the same."""
 
+    @property
+    def version_psnr_db(self) -> float:
+        """The figure that `held_out_psnr_db` has of this version of the scene: there the photograph
+        is divided in float64."""
+        return psnr_db(self.view.image, np.rint(self.photograph * 255).astype(np.float64) / 255, self.used)
+
     def save(self, folder: Path) -> list[str]:
         """Write render, photograph and their absolute difference (×3, where `used`) as PNG, and the
         canonical render where there is one; returns the names relative to `folder`."""
@@ -130,15 +136,15 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
         cameras=cameras, photographs=photographs, used=used, initial=load_splats(machine_folder / INITIAL_NAME), light=light
     )
     lpips = load_lpips(inbox / LPIPS_NAME, task.lpips) if task.lpips else None
-    rows, pictures = score_views(scene, views, task, lpips, folder, reporter)
+    rows, pictures, scored_db = score_views(scene, views, task, lpips, folder, reporter)
     trained = TrainedPhotographs(folder=machine_folder, images=training_images, light=light)
     errors = measure_borders(scene, plan, trained, task, reporter)
     if not task.owned:
         save_support(folder / SUPPORT_NAME, _support(scene, machine_folder, task, reporter))
-    lights = dict.fromkeys(task.versions[:1], light)
-    compared = {}
-    for number, name in enumerate(task.versions, 1):
-        compared[name] = _compare(name, inbox, named, (machine_folder, images, small), task, lights.get(name))
+    # The first one is the scene that was scored.
+    compared = dict.fromkeys(task.versions[:1], scored_db)
+    for number, name in enumerate(task.versions[1:], 2):
+        compared[name] = _compare(name, inbox, named, (machine_folder, images, small), task)
         reporter.progress(number, len(task.versions), "versions of the scene")
     borders = [asdict(error) for error in errors]
     write_json(folder / SCORES_NAME, {"images": rows, "borders": borders, "leakage": leakage, "versions": compared})
@@ -155,13 +161,12 @@ def _compare(
     cameras: Cameras,
     photographs: tuple[Path, Path, TrainingViews | None],
     task: ScoreTask,
-    light: LightOfScore | None,
 ) -> list[float]:
-    """PSNR of a version of the scene in the photographs of held-out `cameras`, in the light that is
-    predicted of them beside that version; `light` if that is known already."""
+    """PSNR of another version of the scene in the photographs of held-out `cameras`, in the light
+    that is predicted of them beside that version."""
     machine_folder, images, small = photographs
-    scene = load_ply(inbox / (SCENE_NAME if name == task.versions[0] else version_file(name)))
-    light = light or _light_of_score(scene, cameras, small, machine_folder, task)
+    scene = load_ply(inbox / version_file(name))
+    light = _light_of_score(scene, cameras, small, machine_folder, task)
     figures = []
     for start in range(0, len(cameras), NUM_LOADED):
         rows = np.arange(start, min(start + NUM_LOADED, len(cameras)))
@@ -173,17 +178,21 @@ def _compare(
 
 def score_views(
     scene: Splats, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, folder: Path, reporter: EventReporter
-) -> tuple[list[dict[str, Any]], list[str]]:
+) -> tuple[list[dict[str, Any]], list[str], list[float]]:
     """Score a scene on one machine's views and write the pictures of each into `folder` before the
-    next is made, so that one is in memory at a time; returns the rows and the pictures' names."""
+    next is made, so that one is in memory at a time; returns the rows, the pictures' names, and
+    what other versions of the scene are compared with."""
     cameras = _correct_cameras(views.cameras, task)
     rows: list[dict[str, Any]] = []
     pictures: list[str] = []
+    version_db: list[float] = []
     for image in score_images(scene, cameras, views, task.backend, lpips):
         rows.append(image.row)
         pictures += image.save(folder)
+        if task.versions:
+            version_db.append(image.version_psnr_db)
         reporter.progress(len(rows), len(cameras), image.view.name)
-    return rows, pictures
+    return rows, pictures, version_db
 
 
 def score_images(
