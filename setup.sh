@@ -145,7 +145,7 @@ case "${1:-}" in
     run_checks
     # Where it is set, every process that a test starts compiles what it imports of the project again, a worker for 0.7 s of CPU time.
     unset PYTHONDONTWRITEBYTECODE
-    # Two at a time even on larger machines: a worker holds up to 2 GB. By default, one of them would be given all of tests/app at once.
+    # Two at a time even on larger machines: a worker holds up to 2 GB.
     # The import rules are checked already.
     .venv/bin/python -m pytest -n 2 --dist loadfile --deselect tests/architecture/test_imports.py::test_import_linter_keeps_every_contract
     ;;

@@ -12,7 +12,7 @@ from radiant_core.errors import BadInput
 MAX_FILE_BYTES = 1 << 20
 """A fleet of thousands fits; a file of another kind given by mistake does not."""
 MAX_KEY_PARTS = 16
-"""Longer keys are refused before they are parsed: reading one took minutes."""
+"""Longer keys are refused before they are parsed: no file of ours has one."""
 _DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}""")
 
 

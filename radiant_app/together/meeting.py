@@ -9,8 +9,8 @@ A child asks for a link by an *attempt*, a folder of its own in `MEETING/to-NAME
 An attempt is taken by one parent and never again, so a restarted parent leaves alone what its dead
 predecessor took; whoever waits in vain for the other end makes a new attempt. Runs once per link.
 
-The keys lie in small files and not in torch's `FileStore`: after a kill an attempt over it was seen
-to wait without end (torch 2.13). A file here is whole or absent.
+The keys lie in small files and not in torch's `FileStore`, which was seen to wait without end
+(torch 2.13). A file here is whole or absent.
 """
 
 import contextlib

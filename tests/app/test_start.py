@@ -107,8 +107,8 @@ def test_a_training_of_more_steps_and_pixels_takes_longer_by_the_law_of_its_curv
     assert "GB free" in usual.memory and fine.time.split()[2:3] in (["min"], ["h"])
     for name, town_db in TOWN_DB.items():
         expected = forecast_start(found, None, quality_of(name)).quality
-        assert "steps at" in expected and ("dB PSNR on the sample town" in expected) == (town_db is not None)
-    assert f"{TOWN_DB['quick']:.1f} dB PSNR on the sample town" in forecast_start(found, None, quality_of("quick")).quality
+        assert "steps at" in expected and ("dB PSNR by one model of the sample town" in expected) == (town_db is not None)
+    assert f"{TOWN_DB['quick']:.1f} dB PSNR by one model of the sample town" in forecast_start(found, None, quality_of("quick")).quality
 
 
 def test_machines_of_a_form_become_a_system_that_is_planned_by(tmp_path: Path) -> None:

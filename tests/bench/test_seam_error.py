@@ -11,23 +11,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import border_distance_m
 from radiant_core.evaluate.image_error import psnr_db
-from radiant_core.plan.plans import CloudPlan
-
-
-def plan_of(sites: np.ndarray, weights: np.ndarray) -> CloudPlan:
-    count = len(sites)
-    return CloudPlan(
-        method="test",
-        edge_ids=tuple(str(index) for index in range(count)),
-        sites=sites,
-        weights=weights,
-        borders=(np.zeros((0, 2)),) * count,
-        edge_of_camera=np.zeros(0, np.int64),
-        edge_time_s=np.zeros(count),
-        lower_bound_s=0.0,
-        status="stopped",
-        certified=False,
-    )
+from tests.core.plan.made_plans import plan_of
 
 
 def power_cells(sites: np.ndarray, weights: np.ndarray, reach_m: float) -> list[shapely.Polygon]:

@@ -32,8 +32,7 @@ BLOCK_VOXELS = 16
 MAX_BLOCKS = 160_000
 """The most that a fusion may take; coarser voxels need fewer."""
 BLOCKS_AT_ONCE = 8_192
-"""Of a mesh made in one call. Open3D 0.20 was seen to end the process over more, so larger ones are
-made in parts."""
+"""Of a mesh made in one call; larger ones are made in parts, which bounds the memory."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

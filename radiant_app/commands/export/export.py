@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
-from radiant_app.commands.export.request import LEVELLED, OF_HEIGHTS, PLACED, ExportRequest, exported_model, placed, require_options, run_of
+from radiant_app.commands.export.levels import export_lod, export_tiles, export_viewer
+from radiant_app.commands.export.project import export_colmap, export_nerfstudio
+from radiant_app.commands.export.request import OF_HEIGHTS, PLACED, ExportRequest, exported_model, placed, require_options, run_of
 from radiant_app.commands.model.place import crs_warnings, place_of
 from radiant_app.events import Decided, Warned
 from radiant_app.files.out_folder import folder_made_for
@@ -181,17 +183,6 @@ def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]
     return {"regions": sum(len(border) >= 3 for border in run.cloud_plan.borders), "cameras": len(run.scene.cameras)}
 
 
-def _project(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]:
-    """The function `name` of `export_project`, which imports what it needs when it is called."""
-
-    def write(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-        from radiant_app.commands.export import project as export_project
-
-        return getattr(export_project, name)(request, display)
-
-    return write
-
-
 def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.export.mesh_ply import save_mesh
 
@@ -211,34 +202,13 @@ def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     }
 
 
-def _levels(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]:
-    """The function `name` of `export_levels`, which imports what it needs when it is called."""
+def _heights(kind: ExportFormat) -> Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]:
+    """Writes one of `OF_HEIGHTS`; what it needs is imported when it is called."""
 
     def write(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-        from radiant_app.commands.export import levels as export_levels
+        from radiant_app.commands.export.heights import WRITERS
 
-        return getattr(export_levels, name)(request, display)
-
-    return write
-
-
-def _of_surface(name: str) -> Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]:
-    """The function `name` of `export_heights`, which imports what it needs when it is called."""
-
-    def write(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-        from radiant_app.commands.export import heights as export_heights
-
-        surface = export_heights.SurfaceExport(
-            model=request.model,
-            out=request.out,
-            resolution=request.resolution,
-            long_side_px=request.pictures_px,
-            tile_px=request.tiles_px,
-            interval=request.interval,
-            crs=request.crs,
-            as_trained=request.as_trained,
-        )
-        return getattr(export_heights, name)(surface, display)
+        return WRITERS[kind](request, display)
 
     return write
 
@@ -300,10 +270,12 @@ _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] 
     "sog": _sog,
     "usd": _usd,
     "geojson": _geojson,
-    "colmap": _project("export_colmap"),
-    "nerfstudio": _project("export_nerfstudio"),
+    "colmap": export_colmap,
+    "nerfstudio": export_nerfstudio,
     "mesh": _mesh,
     "ortho": _ortho,
-    **{kind: _levels(f"export_{kind}") for kind in LEVELLED},
-    **{kind: _of_surface(f"export_{kind}") for kind in OF_HEIGHTS},
+    "lod": export_lod,
+    "tiles": export_tiles,
+    "viewer": export_viewer,
+    **{kind: _heights(kind) for kind in OF_HEIGHTS},
 }

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_app.commands.export.request import ExportRequest
 from radiant_app.commands.run.steps import stage_bar
 from radiant_app.commands.survey.parts import Survey, cell_of, load_survey, support_of_survey
 from radiant_app.commands.survey.surface import PIXELS_PER_CELL, SurfacePoints, points_of_survey, surface_of_survey
 from radiant_app.report.progress import ProgressDisplay
+from radiant_core.choices import ExportFormat
 from radiant_core.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
 from radiant_core.extras import require_extra
 from radiant_core.georef.reference import map_offset
@@ -27,22 +29,6 @@ GROUND_WITHIN_GSD = 4.0
 NUM_LEVELS = 20
 """About so many contours where no interval is given."""
 MAX_PICTURE_PX = 4096
-
-
-@dataclass(frozen=True, kw_only=True)
-class SurfaceExport:
-    """What of a run's surface goes where; interval of contours in the model's unit."""
-
-    model: Path
-    out: Path
-    resolution: float | None
-    long_side_px: int
-    tile_px: int
-    interval: float | None
-    crs: str | None = None
-    """System of the map; None: the UTM zone of the scene."""
-    as_trained: bool = False
-    """Whether what the model's cleaning leaves out counts too."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,22 +54,22 @@ class _SurveyHeights:
         }
 
 
-def _find(request: SurfaceExport, display: ProgressDisplay) -> _SurveyHeights:
+def _find(request: ExportRequest, display: ProgressDisplay) -> _SurveyHeights:
     survey = load_survey(request.model, request.crs, as_trained=request.as_trained)
     # Before minutes of matching: a slip in what was asked for is told at once.
     cell = cell_of(survey, request.resolution, PIXELS_PER_CELL)
     grid_over(survey.ground.low, survey.ground.high, cell, survey.map_frame)
-    points = points_of_survey(survey, display, request.long_side_px)
+    points = points_of_survey(survey, display, request.pictures_px)
     return _SurveyHeights(survey=survey, points=points, heights=surface_of_survey(survey, points, cell, display))
 
 
-def export_dsm(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
+def export_dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Heights of the topmost surface as a GeoTIFF of three bands."""
     surface = _find(request, display)
     return _save_heights(request, surface, surface.heights)
 
 
-def export_dtm(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
+def export_dtm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Heights of the ground without buildings and trees, as a GeoTIFF of three bands."""
     from radiant_core.survey.terrain import terrain
 
@@ -91,7 +77,7 @@ def export_dtm(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
     return _save_heights(request, surface, terrain(surface.heights, surface.points.gsd))
 
 
-def export_contours(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
+def export_contours(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Lines of equal height of the terrain as GeoJSON, in longitude and latitude where known."""
     from radiant_core.io.run_store import write_json
     from radiant_core.survey.geojson import line_feature, to_geojson
@@ -111,7 +97,7 @@ def _at(line: Contour) -> FloatArray:
     return np.column_stack([line.line, np.full(len(line.line), line.height)])
 
 
-def export_laz(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
+def export_laz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Points of the surface with colours, ground told from the rest."""
     require_extra("survey", "LAZ cannot be written", "export --format dsm")
     from radiant_core.export.point_cloud import save_laz
@@ -125,7 +111,7 @@ def export_laz(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
     return {"points": len(is_ground), "ground": float(f"{is_ground.mean():.3g}"), **surface.figures(surface.heights)}
 
 
-def export_glb(request: SurfaceExport, display: ProgressDisplay) -> dict[str, Any]:
+def export_glb(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """The surface with the orthophoto on it, for a browser or a modeller."""
     require_extra("survey", "GLB cannot be written", "export --format mesh")
     from radiant_core.export.mesh_glb import save_glb
@@ -148,17 +134,17 @@ def export_glb(request: SurfaceExport, display: ProgressDisplay) -> dict[str, An
     }
 
 
-def _save_heights(request: SurfaceExport, surface: _SurveyHeights, heights: HeightMap) -> dict[str, Any]:
+def _save_heights(request: ExportRequest, surface: _SurveyHeights, heights: HeightMap) -> dict[str, Any]:
     raster = TiledRaster(
         place=heights.grid,
         shape=heights.grid.shape,
         bands=BANDS,
-        tile_px=request.tile_px,
+        tile_px=request.tiles_px,
         dtype=np.float32,
         no_data=NO_DATA,
         classes=(2,),
     )
-    save_tiles(request.out, raster, cut_tiles(heights.bands(NO_DATA), request.tile_px, NO_DATA))
+    save_tiles(request.out, raster, cut_tiles(heights.bands(NO_DATA), request.tiles_px, NO_DATA))
     return {**surface.figures(heights), "no_data": NO_DATA, "bands": ", ".join(BANDS)}
 
 
@@ -185,3 +171,13 @@ def _usual_interval(heights: HeightMap) -> float:
     wanted = max(float(np.ptp(np.quantile(finite, [0.01, 0.99]))), 1e-6) / NUM_LEVELS
     power = 10.0 ** np.floor(np.log10(wanted))
     return float(f"{min((step * power for step in (1, 2, 5, 10) if step * power >= wanted), default=10 * power):.6g}")
+
+
+WRITERS: dict[ExportFormat, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] = {
+    "dsm": export_dsm,
+    "dtm": export_dtm,
+    "contours": export_contours,
+    "laz": export_laz,
+    "glb": export_glb,
+}
+"""What writes each of `OF_HEIGHTS`."""

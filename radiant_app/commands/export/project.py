@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,25 +14,30 @@ from radiant_core.errors import BadInput
 from radiant_core.io.photos.folders import in_short
 
 if TYPE_CHECKING:
-    from radiant_core.export.projects import ProjectPhotographs
+    from radiant_core.export.projects import ProjectCounts, ProjectPhotographs
     from radiant_core.scene import SfmScene
     from radiant_viewer.runs.run_view import RunView
+
+    ProjectWriter = Callable[[Path, SfmScene, ProjectPhotographs, Callable[[int, int], None]], ProjectCounts]
 
 
 def export_colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """A COLMAP project: binary model, undistorted photographs, masks."""
-    return _export_project(request, display, "save_colmap_project")
+    from radiant_core.export.projects import save_colmap_project
+
+    return _export_project(request, display, save_colmap_project)
 
 
 def export_nerfstudio(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     """A nerfstudio project: transforms.json, points, undistorted photographs, masks."""
-    return _export_project(request, display, "save_nerfstudio_project")
+    from radiant_core.export.projects import save_nerfstudio_project
+
+    return _export_project(request, display, save_nerfstudio_project)
 
 
-def _export_project(request: ExportRequest, display: ProgressDisplay, writer: str) -> dict[str, Any]:
+def _export_project(request: ExportRequest, display: ProgressDisplay, write: ProjectWriter) -> dict[str, Any]:
     from radiant_app.commands.run.steps import stage_bar
     from radiant_app.files.run_folder import create_folder
-    from radiant_core.export import projects
 
     scene = _scene_without_repeats(run_of(request), display)
     place = place_of(request.model, request.crs)
@@ -39,7 +45,7 @@ def _export_project(request: ExportRequest, display: ProgressDisplay, writer: st
         scene = place.move.move_scene(scene)
     photographs = photographs_of(request.model)
     with create_folder(request.out, whole=True), stage_bar(display, "export") as report:
-        counts = getattr(projects, writer)(request.out, scene, photographs, lambda num_done, total: report(num_done, total, "photographs"))
+        counts = write(request.out, scene, photographs, lambda num_done, total: report(num_done, total, "photographs"))
     if photographs.images is None:
         message = "the photographs stay with their devices: images/ is not written, and whoever trains needs them there."
         display(Warned(stage="export", message=message))

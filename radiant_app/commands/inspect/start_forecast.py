@@ -150,7 +150,7 @@ def _memory_text(quality: Quality, num_photographs: int) -> str:
 
 def _quality_text(quality: Quality) -> str:
     train, town_db = quality.training, TOWN_DB[quality.name]
-    measured = "" if town_db is None else f"{town_db:.1f} dB PSNR on the sample town in full size, more or less on others; "
+    measured = "" if town_db is None else f"{town_db:.1f} dB PSNR by one model of the sample town in full size, more or less on others; "
     return f"{measured}{train.num_steps:,} steps at {train.long_side_px:,} px, up to {train.max_num_splats:,} Gaussians"
 
 

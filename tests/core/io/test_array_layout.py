@@ -33,6 +33,8 @@ def test_what_fits_is_taken_and_the_library_reads_it(tmp_path: Path) -> None:
     assert {name: array.shape for name, array in load_file(path).items()} == {"a": (2, 3), "b": (4,)}
     require_layout(written(tmp_path / "none", {}, b""))
     require_layout(written(tmp_path / "empty", {"a": {"dtype": "F64", "shape": [0, 7], "data_offsets": [0, 0]}}, b""))
+    # The longest side there is, of nothing.
+    require_layout(written(tmp_path / "long", {"a": {"dtype": "U8", "shape": [0, 2**63 - 1], "data_offsets": [0, 0]}}, b""))
 
 
 @pytest.mark.parametrize(
@@ -79,6 +81,7 @@ def test_every_type_has_its_width(tmp_path: Path, dtype: str, item_bytes: int) -
         ({"a": A, "b": {**B, "shape": [True, 4]}}, MISFIT),
         ({"a": A, "b": {**B, "shape": [-2, -2]}}, MISFIT),
         ({"a": A, "b": {**B, "shape": [0, 4]}}, MISFIT),
+        ({"a": A, "b": {"dtype": "U8", "shape": [0, 2**63], "data_offsets": [24, 24]}}, MISFIT),
         ({"a": A, "b": {**B, "data_offsets": [24, 28, 28]}}, MISFIT),
         ({"a": A, "b": {**B, "data_offsets": [28, 24]}}, MISFIT),
         ({"a": A, "b": {**B, "data_offsets": [20, 24]}}, "leave a gap or overlap at byte 24"),

@@ -42,7 +42,9 @@ def with_two_lenses(scene: SfmScene) -> SfmScene:
 @pytest.mark.parametrize("change", [lambda scene: scene, with_two_lenses], ids=["one lens", "two lenses"])
 def test_pycolmap_reads_the_project_and_projects_every_point_where_it_was_seen(change, tmp_path: Path) -> None:
     scene = change(seen_scene())
-    counts = save_colmap_project(tmp_path / "out", scene, photographs_of(scene, tmp_path, masked=3))
+    told: list[tuple[int, int]] = []
+    counts = save_colmap_project(tmp_path / "out", scene, photographs_of(scene, tmp_path, masked=3), lambda *step: told.append(step))
+    assert told[-1] == (24, 24)
     assert (counts.photographs, counts.masks, counts.missing) == (24, 3, ())
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["images", "masks", "sparse"]
     model = pycolmap.Reconstruction(str(tmp_path / "out" / "sparse" / "0"))
@@ -94,7 +96,9 @@ def read_nerfstudio(folder: Path) -> tuple[dict[str, tuple[np.ndarray, np.ndarra
 @pytest.mark.parametrize("change", [lambda scene: scene, with_two_lenses], ids=["one lens", "two lenses"])
 def test_another_reader_of_transforms_sees_every_point_where_the_scene_does(change, tmp_path: Path) -> None:
     scene = change(seen_scene())
-    counts = save_nerfstudio_project(tmp_path / "out", scene, photographs_of(scene, tmp_path, masked=2))
+    told: list[tuple[int, int]] = []
+    counts = save_nerfstudio_project(tmp_path / "out", scene, photographs_of(scene, tmp_path, masked=2), lambda *step: told.append(step))
+    assert told[-1] == (24, 24)
     # nerfstudio refuses a project in which some frames have a mask.
     assert (counts.photographs, counts.masks) == (24, 24)
     views, points, colors = read_nerfstudio(tmp_path / "out")

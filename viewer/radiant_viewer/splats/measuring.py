@@ -76,7 +76,7 @@ def _drawn(drawer: Drawer, camera: Cameras) -> tuple[Rgbd, float]:
 
 
 def main() -> int:
-    """Measure and print, and end at once: tearing a renderer down ended the process by a signal."""
+    """Measure and print, and end at once: the answer is out before a renderer is torn down."""
     # Graphics drivers write to standard output: it becomes standard error; answers keep the pipe.
     pipe = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)

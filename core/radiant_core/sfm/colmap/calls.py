@@ -1,7 +1,7 @@
 """Calls into pycolmap: logging, signals, progress and errors in one place.
 
-pycolmap was seen to end the process over a database that had two readers: only pycolmap opens one
-here, never Python's own sqlite3.
+Only pycolmap opens its database here, never Python's own sqlite3: pycolmap was seen to end the
+process otherwise.
 """
 
 from __future__ import annotations
