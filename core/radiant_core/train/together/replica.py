@@ -28,6 +28,7 @@ from radiant_core.train.densify.density import AdaptiveDensity, DensityStatistic
 from radiant_core.train.densify.mcmc import RelocatedDensity
 from radiant_core.train.densify.policies import Mcmc, NoDensification
 from radiant_core.train.drop import DroppedGaussians
+from radiant_core.train.mean_model import MeanModel
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainResult, TrainState
 from radiant_core.train.shapes import ShapeCounts, limit_shapes
@@ -74,8 +75,10 @@ class Group:
     @property
     def stepping(self) -> TrainConfig:
         """The settings of steps of `views_per_step` views."""
-        # A step of several views leans to none of them: the mean of the last ones gained nothing.
-        views, config = self.views_per_step, replace(self.config, **without_mean(self.config))
+        views, config = self.views_per_step, self.config
+        if self.overlaps:
+            # Gradients a step old want smaller rates, with the mean of the last steps too.
+            config = replace(config, **{**without_mean(config), "average_from": config.average_from})
         factor, density = math.sqrt(views), config.density
         if not isinstance(density, NoDensification):
             density = replace(density, every=_edits_every(density.every, views))
@@ -145,6 +148,8 @@ class Replica(ModelFit):
 
     def _parts_of_group(self) -> tuple[Part, ...]:
         config, parts = self._config, list[Part]()
+        if config.average_from < 1:
+            parts.append(MeanModel(config.average_from))
         if config.drop_gaussians == "always":
             parts.append(DroppedGaussians(config.drop_share, config.seed))
         if isinstance(config.density, Mcmc):

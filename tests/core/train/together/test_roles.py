@@ -194,7 +194,7 @@ def test_members_and_a_root_that_begin_anew_in_the_middle_end_in_the_same_bits(
     truth, cameras = ground_splats(60), cameras_above([(x, y) for x in (-1.5, 1.5) for y in (-1.0, 1.0)])
     images = tuple(np.uint8(255 * np.clip(view.image, 0, 1)) for view in render_views(truth, cameras))
     views = TrainingViews(cameras=cameras, images=images)
-    config = TrainConfig(num_steps=48, density=density, long_side_px=48, schedule_steps=48, max_num_splats=200)
+    config = TrainConfig(num_steps=48, density=density, long_side_px=48, schedule_steps=48, max_num_splats=200, average_from=0.7)
     group = Group(config=config, num_photographs=4, views_per_step=4, extent=4.0, overlaps=overlaps, form="blocks", masked=masked)
     initial = replace(truth, sh0=np.zeros_like(truth.sh0))
 
@@ -202,9 +202,12 @@ def test_members_and_a_root_that_begin_anew_in_the_middle_end_in_the_same_bits(
         replica, before = (Replica(initial, group, FitOptions(backend="native")) for _ in range(2))
         return Root(replica, {str(number): 1 for number in range(4)}, cameras.centers, group, before=before)
 
+    models: list[dict[str, np.ndarray]] = []
+
     def trained(restarts: Mapping[int, Sequence[int]]) -> Root:
-        """All steps; before those of `restarts` the root and these members begin anew."""
+        """All steps, which are in `models`; before those of `restarts` the root and these members begin anew."""
         root = new_root()
+        models.clear()
         keys = new_keys() if masked else [None] * 4
         members = [Member(number, root, views, group, initial, keys[number]) for number in range(4)]
         while not root.replica.is_done:
@@ -219,12 +222,17 @@ def test_members_and_a_root_that_begin_anew_in_the_middle_end_in_the_same_bits(
                     members[number] = Member(number, root, views, group, initial, keys[number])
             message, total = root.total({str(number): member.next_message() for number, member in enumerate(members)})
             root.take(total)
+            models.append(root.replica.state().arrays)
             for member in members:
                 member.arrived.append(message)
         return root
 
     whole = trained({})
     assert density.kind == "none" or whole.replica.num_splats != len(initial)
+    num_averaged = whole.replica.state().numbers["mean"]["num_steps"]
+    colors = [arrays["splats.sh0"].astype(np.float64) for arrays in models[-num_averaged:]]
+    assert num_averaged in (1, 4) and len(models) == 12
+    np.testing.assert_allclose(whole.result().splats.sh0, np.mean(colors, axis=0), rtol=1e-5, atol=1e-6)
     # Each of them alone, all at once, before and after what adds Gaussians, and after the first step.
     assert not whole.inbox.refused
     again = trained({1: (0, 1, 2, 3), 2: (0,), 3: (1, 2), 4: (3,), 7: (0, 1, 2, 3), 11: (2,)})
