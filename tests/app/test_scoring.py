@@ -104,7 +104,9 @@ def test_one_machine_with_all_photographs_and_two_devices_in_frames_of_their_own
     files = {name: scored(run, f"devices/{name}/score", CAMERAS.select(list(rows)), move) for name, (rows, move) in shares.items()}
     divided = combine_figures(run, {name: read_scores(file) for name, file in files.items()}, None)
     assert whole["seam_excess_db"] is not None and whole["seam_photographs"] == 12 and not whole["seam_found"]
-    assert [row["between"] for row in whole["borders"]] == [("0", "1")] and whole["borders"][0]["seam_excess_db"] == whole["seam_excess_db"]
+    assert [row["between"] for row in whole["borders"]] == [("edge-0", "edge-1")] and whole["borders"][0]["seam_excess_db"] == whole[
+        "seam_excess_db"
+    ]
     assert whole["num_gaussians"] == 400 and "leakage" not in whole
     assert [row["name"] for row in whole["images"]] == list(CAMERAS.names)
     assert [row["name"] for row in divided["images"]][4:6] == ["a/held-out-0004", "b/held-out-0000"]
