@@ -48,7 +48,7 @@ from radiant_core.next_flight.predicted_error import (
 )
 from radiant_core.next_flight.sightings import Knowledge, Sighting, Sights, known_by
 from radiant_core.numerics import FloatArray
-from radiant_core.render.rasterize import resolve_backend
+from radiant_core.render.backends import resolve_backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.render.trajectories import Lens
 from radiant_core.scene import SfmScene

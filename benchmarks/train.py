@@ -54,7 +54,7 @@ from radiant_core.light.canonical import LightOfScore, light_of_score, show_in_l
 from radiant_core.light.captures import Captures, read_captures
 from radiant_core.light.solve import COMPARED_PX
 from radiant_core.numerics import FloatArray
-from radiant_core.render.rasterize import resolve_backend
+from radiant_core.render.backends import resolve_backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig

@@ -33,7 +33,7 @@ from radiant_core.io.model_reader import read_model
 from radiant_core.io.ply import save_ply
 from radiant_core.light.canonical import light_of_score
 from radiant_core.light.solve import COMPARED_PX
-from radiant_core.render.rasterize import resolve_backend
+from radiant_core.render.backends import resolve_backend
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend

@@ -58,7 +58,7 @@ from radiant_core.hierarchy.reporter import Recorder
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_atomic, write_json
 from radiant_core.light.captures import read_captures
-from radiant_core.render.rasterize import resolve_backend
+from radiant_core.render.backends import resolve_backend
 from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.train.checkpoint import training_key

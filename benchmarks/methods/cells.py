@@ -44,7 +44,7 @@ from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import PlanInfeasible
 from radiant_core.plan.system import Device, Edge, System
-from radiant_core.render.rasterize import resolve_backend
+from radiant_core.render.backends import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend

@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.numerics import unit_quats
+from radiant_core.render.backends import device_of, resolve_backend
 from radiant_core.render.contract import SplatTensors
-from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
+from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.native_loss import StatisticsCache, target_loss

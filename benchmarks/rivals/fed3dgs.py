@@ -40,8 +40,9 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from radiant_core.aggregate.synthetic_views import synthetic_views
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.render.backends import device_of, resolve_backend
 from radiant_core.render.contract import Backend, SplatTensors
-from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
+from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.native_loss import StatisticsCache, target_loss
 from radiant_core.train.optimizer import SelectiveAdam

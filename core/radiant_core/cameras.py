@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -114,6 +114,11 @@ def concatenate_cameras(parts: Sequence[Cameras]) -> Cameras:
         cam_from_world=np.concatenate([part.cam_from_world for part in parts]) if parts else np.zeros((0, 4, 4)),
         sizes_wh=np.concatenate([part.sizes_wh for part in parts]) if parts else np.zeros((0, 2), np.int64),
     )
+
+
+def number_cameras(cameras: Cameras, prefix: str) -> Cameras:
+    """The same cameras named prefix/0000, prefix/0001, …: file names are their owner's business."""
+    return replace(cameras, names=tuple(f"{prefix}/{index:04d}" for index in range(len(cameras))))
 
 
 def _require_rigid(names: tuple[str, ...], cam_from_world: FloatArray) -> None:

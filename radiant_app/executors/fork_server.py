@@ -246,7 +246,7 @@ def start_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkSe
     there, but for its imports, and where the system starts no process."""
     if not CAN_FORK or not _open_servers.num_runs or environment.get(SWITCH) == "0":
         return None
-    key = (*names, *((name, environment.get(name)) for name in READ_WHEN_LOADED), _num_threads(environment) is None)
+    key = _key(names, environment)
     with _open_servers.lock:
         if key not in _open_servers.servers:
             with defer_interrupts(), contextlib.suppress(OSError):
@@ -262,6 +262,17 @@ def open_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkSer
         return None
     with _open_servers.lock:
         return server if server.is_ready() else None
+
+
+def started_server(names: Sequence[str], environment: Mapping[str, str]) -> ForkServer | None:
+    """The server that `open_server` has answered with for such nodes; None where there was none."""
+    with _open_servers.lock:
+        server = _open_servers.servers.get(_key(names, environment))
+    return server if server is not None and server.answer and environment.get(SWITCH) != "0" else None
+
+
+def _key(names: Sequence[str], environment: Mapping[str, str]) -> tuple[object, ...]:
+    return (*names, *((name, environment.get(name)) for name in READ_WHEN_LOADED), _num_threads(environment) is None)
 
 
 def _num_threads(environment: Mapping[str, str]) -> int | None:

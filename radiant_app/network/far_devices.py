@@ -26,10 +26,10 @@ from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import combine_figures, lpips_network_of, regions_alone
 from radiant_app.run.source import Plan
-from radiant_app.workers.evaluation import LPIPS_NAME as SCORED_LPIPS
-from radiant_app.workers.evaluation import SCORES_NAME, version_file
 from radiant_app.workers.inbox import load_corrections
 from radiant_app.workers.rasters import Raster, raster_problem
+from radiant_app.workers.score_files import LPIPS_NAME as SCORED_LPIPS
+from radiant_app.workers.score_files import SCORES_NAME, version_file
 from radiant_app.workers.scores import Claimable, Scores, admit_scores
 from radiant_app.workers.tasks import Move
 from radiant_core.aggregate.tree import Tree, scored_at

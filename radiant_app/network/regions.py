@@ -54,9 +54,9 @@ from radiant_app.run.source import Plan
 from radiant_app.run.stages import ATTEMPTS
 from radiant_app.run.time_left import TimeLeftListener
 from radiant_app.workers.delivering import identify_owned, register_sender, use_run_number
-from radiant_app.workers.evaluation import SCORES_NAME, version_file
 from radiant_app.workers.inbox import CORRECTIONS_NAME, REFUSED_NAME, load_corrections
 from radiant_app.workers.rasters import Raster
+from radiant_app.workers.score_files import SCORES_NAME, version_file
 from radiant_app.workers.scores import read_scores
 from radiant_app.workers.tasks import CountTask, Move, OwnFieldTask, RasterTask
 from radiant_core import __version__

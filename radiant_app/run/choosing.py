@@ -17,7 +17,7 @@ from typing import Any
 
 from radiant_app.events import Decided, Listener, Warned
 from radiant_app.run.dealing import Dealer
-from radiant_app.workers.evaluation import SCENE_NAME
+from radiant_app.workers.score_files import SCENE_NAME
 from radiant_app.workers.scores import versions_of
 from radiant_core.choices import Version
 from radiant_core.errors import BadInput

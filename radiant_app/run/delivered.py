@@ -17,12 +17,10 @@ from shapely import Point, Polygon
 from radiant_app.run.dealing import Dealer
 from radiant_app.together.places import GROUP_FOLDER
 from radiant_app.workers.inbox import load_corrections
-from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.cameras import Cameras, concatenate_cameras, number_cameras
 from radiant_core.frames import Frame
 from radiant_core.geometry.similarity import move_cameras
 from radiant_core.hierarchy.codec import CAMERAS_NAME, VIRTUAL_CAMERAS
-from radiant_core.hierarchy.group_codec import load_start
-from radiant_core.hierarchy.joining import number_cameras
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, save_plan, save_scene
 from radiant_core.numerics import FloatArray
@@ -50,6 +48,8 @@ def _received_cameras(run: Path, dealer: Dealer, device: str) -> Cameras:
     the root of the machines it trains together with."""
     group = dealer.recipe.group_of(device)
     if group is not None:
+        from radiant_core.hierarchy.group_codec import load_start
+
         return load_start(run / group.root / GROUP_FOLDER / f"{device}.safetensors").cameras
     inbox = run / "edges" / dealer.recipe.plan_of(device).edge_id / "inbox"
     return load_cameras(inbox / device / CAMERAS_NAME)

@@ -33,8 +33,7 @@ from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRA
 from radiant_core.aggregate.tree import Tree
 from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
-from radiant_core.evaluate.lpips import MIN_SIDE_PX
+from radiant_core.evaluate.image_error import LPIPS_SIDE_PX, SSIM_WINDOW_PX
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.hierarchy.codec import save_task
 from radiant_core.hierarchy.messages import DeviceTask, device_task
@@ -188,7 +187,7 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
 def require_size(scene: SfmScene, long_side_px: int, lpips: LpipsNetwork | None = None) -> None:
     """Raise BadInput where a photograph would be too small to be scored, with LPIPS if named."""
     width, height = min(scene.cameras.scaled(long_side_px).sizes_wh.tolist(), key=min)
-    least_px, figure = max((SSIM_WINDOW_PX, "SSIM"), (MIN_SIDE_PX[lpips] if lpips else 0, "LPIPS"))
+    least_px, figure = max((SSIM_WINDOW_PX, "SSIM"), (LPIPS_SIDE_PX[lpips] if lpips else 0, "LPIPS"))
     if min(width, height) < least_px:
         raise BadInput(
             f"with a long side of {long_side_px} px a photograph is {width} × {height} px, expected {least_px} or more a side "

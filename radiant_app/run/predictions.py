@@ -41,7 +41,7 @@ to 23 s with 13 photographs of the town, in four runs (docs/experiments/planner.
 
 def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:
     """The training of devices on a machine like this one; it reports its decisions itself."""
-    from radiant_core.render.rasterize import resolve_backend
+    from radiant_core.render.backends import resolve_backend
 
     return fit_to_backend(train_preset(preset), resolve_backend("auto"), overrides)[0]
 

@@ -22,7 +22,7 @@ from radiant_app.run.choosing import keep_best
 from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.run.progress import Progress
 from radiant_app.workers.delivering import DELIVERIES, find_refusals, identify_part, sign_task
-from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, SCENE_NAME, SCORES_NAME, summarize_scores, version_file
+from radiant_app.workers.score_files import LPIPS_NAME, PICTURE_KINDS, SCENE_NAME, SCORES_NAME, summarize_scores, version_file
 from radiant_app.workers.scores import Claimable, Scores, admit_scores, read_scores
 from radiant_app.workers.tasks import Move, ScoreTask
 from radiant_core import __version__

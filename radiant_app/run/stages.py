@@ -48,7 +48,7 @@ from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.revision.captured import plan_captured, require_same_system
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
-from radiant_core.render.rasterize import resolve_backend
+from radiant_core.render.backends import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.needs import fit_to_backend

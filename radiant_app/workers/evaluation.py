@@ -9,7 +9,7 @@ mean colour.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import repeat
 from pathlib import Path
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from radiant_app.reporting import EventReporter
 from radiant_app.workers.delivering import belongs_to_run, deliver
+from radiant_app.workers.score_files import LPIPS_NAME, SCENE_NAME, SCORES_NAME, version_file
 from radiant_app.workers.scores import scored_name
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, ScoreTask
 from radiant_app.workers.training import MASKS
@@ -27,14 +28,8 @@ from radiant_core.cameras import Cameras
 from radiant_core.choices import Version
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import (
-    FIGURES,
-    NO_FLIP_REASON,
-    NO_LPIPS_REASON,
-    ImageErrors,
     image_errors,
     inner_pixels,
-    mean_errors,
-    median_errors,
     psnr_db,
     ssim,
 )
@@ -62,22 +57,8 @@ from radiant_core.splats import Splats
 from radiant_core.train.photographs import load_images, load_training_views
 from radiant_core.train.views import TrainingViews
 
-LPIPS_NAME = "lpips.safetensors"
-"""Weights of LPIPS in the folder where a scene is scored."""
-SCORES_NAME = "scores.json"
-"""Figures that a machine reports of its held-out photographs."""
-SCENE_NAME = "scene.ply"
-PICTURE_KINDS = ("photographs", "renders", "differences", "canonical")
-"""Folders with one PNG per held-out photograph; the last where light is modelled."""
-
-
 NUM_LOADED = 16
 """Photographs in memory at a time while versions of a scene are compared."""
-
-
-def version_file(name: Version) -> str:
-    """The file of another version of the scene than that in scene.ply, beside it."""
-    return f"{name}.ply"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,6 +88,12 @@ class ScoredImage:
     used: Used
     canonical: NDArray[np.float32] | None = None
     """The render in the model's own light, where `view` has the photograph's; None: the same."""
+
+    @property
+    def version_psnr_db(self) -> float:
+        """The figure that `held_out_psnr_db` has of this version of the scene: there the photograph
+        is divided in float64."""
+        return psnr_db(self.view.image, np.rint(self.photograph * 255).astype(np.float64) / 255, self.used)
 
     def save(self, folder: Path) -> list[str]:
         """Write render, photograph and their absolute difference (×3, where `used`) as PNG, and the
@@ -149,15 +136,15 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
         cameras=cameras, photographs=photographs, used=used, initial=load_splats(machine_folder / INITIAL_NAME), light=light
     )
     lpips = load_lpips(inbox / LPIPS_NAME, task.lpips) if task.lpips else None
-    rows, pictures = score_views(scene, views, task, lpips, folder, reporter)
+    rows, pictures, scored_db = score_views(scene, views, task, lpips, folder, reporter)
     trained = TrainedPhotographs(folder=machine_folder, images=training_images, light=light)
     errors = measure_borders(scene, plan, trained, task, reporter)
     if not task.owned:
         save_support(folder / SUPPORT_NAME, _support(scene, machine_folder, task, reporter))
-    lights = dict.fromkeys(task.versions[:1], light)
-    compared = {}
-    for number, name in enumerate(task.versions, 1):
-        compared[name] = _compare(name, inbox, named, (machine_folder, images, small), task, lights.get(name))
+    # The first one is the scene that was scored.
+    compared = dict.fromkeys(task.versions[:1], scored_db)
+    for number, name in enumerate(task.versions[1:], 2):
+        compared[name] = _compare(name, inbox, named, (machine_folder, images, small), task)
         reporter.progress(number, len(task.versions), "versions of the scene")
     borders = [asdict(error) for error in errors]
     write_json(folder / SCORES_NAME, {"images": rows, "borders": borders, "leakage": leakage, "versions": compared})
@@ -174,13 +161,12 @@ def _compare(
     cameras: Cameras,
     photographs: tuple[Path, Path, TrainingViews | None],
     task: ScoreTask,
-    light: LightOfScore | None,
 ) -> list[float]:
-    """PSNR of a version of the scene in the photographs of held-out `cameras`, in the light that is
-    predicted of them beside that version; `light` if that is known already."""
+    """PSNR of another version of the scene in the photographs of held-out `cameras`, in the light
+    that is predicted of them beside that version."""
     machine_folder, images, small = photographs
-    scene = load_ply(inbox / (SCENE_NAME if name == task.versions[0] else version_file(name)))
-    light = light or _light_of_score(scene, cameras, small, machine_folder, task)
+    scene = load_ply(inbox / version_file(name))
+    light = _light_of_score(scene, cameras, small, machine_folder, task)
     figures = []
     for start in range(0, len(cameras), NUM_LOADED):
         rows = np.arange(start, min(start + NUM_LOADED, len(cameras)))
@@ -192,17 +178,21 @@ def _compare(
 
 def score_views(
     scene: Splats, views: HeldOutViews, task: ScoreTask, lpips: Lpips | None, folder: Path, reporter: EventReporter
-) -> tuple[list[dict[str, Any]], list[str]]:
+) -> tuple[list[dict[str, Any]], list[str], list[float]]:
     """Score a scene on one machine's views and write the pictures of each into `folder` before the
-    next is made, so that one is in memory at a time; returns the rows and the pictures' names."""
+    next is made, so that one is in memory at a time; returns the rows, the pictures' names, and
+    what other versions of the scene are compared with."""
     cameras = _correct_cameras(views.cameras, task)
     rows: list[dict[str, Any]] = []
     pictures: list[str] = []
+    version_db: list[float] = []
     for image in score_images(scene, cameras, views, task.backend, lpips):
         rows.append(image.row)
         pictures += image.save(folder)
+        if task.versions:
+            version_db.append(image.version_psnr_db)
         reporter.progress(len(rows), len(cameras), image.view.name)
-    return rows, pictures
+    return rows, pictures, version_db
 
 
 def score_images(
@@ -354,20 +344,6 @@ def select_scored(cameras: Cameras, masks: Path | None, warn: Callable[[str], No
     for name in np.array(cameras.names)[~has_pixels]:
         warn(f"the mask of the held-out photograph {name} leaves nothing to score: it is left out")
     return cameras.select(np.flatnonzero(has_pixels)), [weight for weight, scored in zip(used, has_pixels, strict=True) if scored]
-
-
-def summarize_scores(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | None) -> dict[str, Any]:
-    """Summarize rows of `score_images`: means, medians, reasons for missing figures, the rows."""
-    errors = [ImageErrors(name=row["name"], **{figure: row[figure] for figure in FIGURES}) for row in rows]
-    mean, median = mean_errors(errors), median_errors(errors)
-    return {
-        **mean.figures(),
-        "median": median.figures(),
-        "flip_reason": NO_FLIP_REASON if mean.flip is None else None,
-        "lpips_reason": NO_LPIPS_REASON if mean.lpips is None else None,
-        "lpips_network": lpips_network,
-        "images": list(rows),
-    }
 
 
 def png_bytes(image: NDArray[np.uint8]) -> bytes:

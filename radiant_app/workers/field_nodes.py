@@ -30,7 +30,7 @@ from radiant_app.workers.sources import portable_path
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, FieldTask, PlacingTask, PositionsTask
 from radiant_app.workers.training import remove_checkpoints, train_from_folder
 from radiant_core import __version__
-from radiant_core.cameras import Cameras
+from radiant_core.cameras import Cameras, number_cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.frames import WGS84_SEMI_MAJOR_M, FrameUncertainty
@@ -158,7 +158,6 @@ def _make_model(folder: Path, task: FieldTask, photographs: str, reporter: Event
             mark_gone(meeting_of(folder, task.seat.parent), folder.name)
         # frame.json with the reason leaves the device.
         return _report_missing(folder, make_redactor("field", folder).redact(str(error)), reporter)
-    from radiant_core.hierarchy.joining import number_cameras
     from radiant_core.light.captures import read_captures, save_captures
 
     assert model.initial is not None

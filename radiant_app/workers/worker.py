@@ -36,7 +36,7 @@ def main(arguments: list[str], work: Work | None = None) -> int:
     """Run one node and seal its folder; returns an exit code. `work` as in `nodes.run_node`."""
     kind, folder, stage, key = arguments
     if stat.S_ISFIFO(os.fstat(0).st_mode):
-        threading.Thread(target=_exit_with_executor, daemon=True).start()
+        threading.Thread(target=exit_with_executor, daemon=True).start()
     # Libraries print to file descriptor 1 too: events keep the real one, the rest goes to the log.
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
@@ -47,11 +47,6 @@ def main(arguments: list[str], work: Work | None = None) -> int:
         with writing:
             events.write(encode(event) + "\n")
 
-    def fail(exit_code: int, message: str, *, cannot_write: bool = False) -> int:
-        failed = Failed(stage=stage, message=message, exit_code=exit_code, cannot_write=cannot_write)
-        emit(make_redactor(kind, Path(folder)).redact_event(failed))
-        return exit_code
-
     threading.Thread(target=_send_heartbeats, args=(stage, emit), daemon=True).start()
     try:
         from radiant_app.workers.nodes import run_node
@@ -60,16 +55,25 @@ def main(arguments: list[str], work: Work | None = None) -> int:
         emit(MemoryPeaked(stage=stage, peak_bytes=peak_bytes()))
         emit(CpuSpent(stage=stage, seconds=time.process_time()))
         seal(Path(folder), key, outputs)
-    except RadiantError as error:
-        return fail(error.exit_code, str(error), cannot_write=isinstance(error, CannotWrite))
-    except OSError as error:
-        message = f"{error.strerror or error} ({error.filename or folder})"
-        return fail(BadInput.exit_code, message, cannot_write=error.errno in DISK_ERRORS)
-    except (MemoryError, RuntimeError) as error:
-        if not is_out_of_memory(error):
+    except (RadiantError, OSError, MemoryError, RuntimeError) as error:
+        failed = failure_of(error, stage, Path(folder))
+        if failed is None:
             raise
-        return fail(StageFailed.exit_code, OUT_OF_MEMORY)
+        emit(make_redactor(kind, Path(folder)).redact_event(failed))
+        return failed.exit_code
     return 0
+
+
+def failure_of(error: Exception, stage: str, folder: Path) -> Failed | None:
+    """What is told of the failure of a stage that works in `folder`; None for a bug of ours."""
+    if isinstance(error, RadiantError):
+        return Failed(stage=stage, message=str(error), exit_code=error.exit_code, cannot_write=isinstance(error, CannotWrite))
+    if isinstance(error, OSError):
+        message = f"{error.strerror or error} ({error.filename or folder})"
+        return Failed(stage=stage, message=message, exit_code=BadInput.exit_code, cannot_write=error.errno in DISK_ERRORS)
+    if isinstance(error, MemoryError | RuntimeError) and is_out_of_memory(error):
+        return Failed(stage=stage, message=OUT_OF_MEMORY, exit_code=StageFailed.exit_code)
+    return None
 
 
 def end_process(code: int) -> NoReturn:
@@ -86,7 +90,8 @@ def _send_heartbeats(stage: str, emit: Callable[[Event], None]) -> None:
         emit(Heartbeat(stage=stage))
 
 
-def _exit_with_executor() -> None:
+def exit_with_executor() -> None:
+    """End this process where standard input ends, which the executor holds open."""
     while os.read(0, 1):
         pass
     os._exit(1)

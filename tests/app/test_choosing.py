@@ -21,8 +21,8 @@ from radiant_app.network.kinds import remove_earlier
 from radiant_app.run.choosing import keep_best
 from radiant_app.run.scoring import Scoring, ScoringMachine
 from radiant_app.workers.delivering import exchange_keys
-from radiant_app.workers.evaluation import SCORES_NAME
 from radiant_app.workers.nodes import CUT_SCENE, run_node
+from radiant_app.workers.score_files import SCORES_NAME
 from radiant_core.aggregate.tree import Tree
 from radiant_core.choices import Version
 from radiant_core.errors import BadInput

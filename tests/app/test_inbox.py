@@ -17,12 +17,12 @@ from radiant_app.reporting import EventReporter
 from radiant_app.workers.delivering import IDENTITY, exchange_keys
 from radiant_app.workers.inbox import receive_device_models, receive_edge_models, save_joining
 from radiant_core.aggregate.config import Join
-from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.cameras import Cameras, concatenate_cameras, number_cameras
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame
 from radiant_core.hierarchy import joining
 from radiant_core.hierarchy.codec import MAX_FRAME_BYTES, NOTHING, sim3_of, sim3_record
-from radiant_core.hierarchy.joining import Arrivals, admit, number_cameras
+from radiant_core.hierarchy.joining import Arrivals, admit
 from radiant_core.hierarchy.messages import EdgeTask
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import read_json, write_json

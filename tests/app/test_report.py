@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
+import shutil
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,10 +18,16 @@ from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.commands.run.pipeline import RunResult, run
 from radiant_app.config.run_config import RunConfig, TrainOptions
 from radiant_app.events import Event, RunLeft, StageDone, StageProgress, StageStarted
+from radiant_app.executors.fork_server import ForkedProcess
+from radiant_app.files.run_folder import read_manifest
+from radiant_app.report import drawing, html
+from radiant_app.report.drawing import draw_report
 from radiant_app.report.gaps import gaps_of, notes_of
 from radiant_app.report.html import NUM_SIDES, PARTS, REPORT, title_of, with_code
 from radiant_app.report.survey import area_text, length_text, observed_area, sampling_distance, survey_of
+from radiant_core.errors import BadInput, StageFailed
 from radiant_core.frames import Frame
+from radiant_core.io.run_store import read_json
 from radiant_core.scene import SfmScene
 from radiant_viewer.pictures.images import load_image
 from radiant_viewer.pictures.turntable import MARGIN, crop_to, turntable
@@ -26,6 +35,7 @@ from tests.app.blank_reports import drawn_pictures
 from tests.app.pipeline_kit import FOUR
 from tests.browsers import chromium
 from tests.core.scenes import cameras_above, ground_splats
+from tests.forked import open_server_of_tests
 
 PHONE_PX = 390
 
@@ -40,7 +50,9 @@ def heard() -> list[Event]:
 def finished(hamlet_project: Path, tmp_path_factory: pytest.TempPathFactory, heard: list[Event]) -> RunResult:
     out = tmp_path_factory.mktemp("reports") / "run"
     train = TrainOptions(long_side_px=64, num_steps=20, max_num_splats=600)
-    with drawn_pictures():
+    with drawn_pictures(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(drawing, "started_server", open_server_of_tests)
+        patch.setattr(html, "write_report", None)  # a fork draws, and this process does not
         return run(RunConfig(source=hamlet_project, out=out, train=train, plan=FOUR), heard.append)
 
 
@@ -78,6 +90,51 @@ def test_the_pictures_of_a_run_are_drawn(finished: RunResult) -> None:
     for name in ("model", "regions", "regions_phone", "cameras", "timeline", "gantt"):
         picture = load_image(finished.folder / "pictures" / f"{name}.png")
         assert min(picture.shape[:2]) > 100 and picture.std() > 5, name
+
+
+@pytest.fixture
+def copied(finished: RunResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, list[ForkedProcess]]:
+    """The finished run in another folder, and the processes that draw its report."""
+    monkeypatch.setattr(drawing, "started_server", open_server_of_tests)
+    started, start = list[ForkedProcess](), drawing._start
+
+    def start_and_note(*arguments: Any) -> ForkedProcess | None:
+        process = start(*arguments)
+        assert process is not None
+        started.append(process)
+        return process
+
+    monkeypatch.setattr(drawing, "_start", start_and_note)
+    shutil.copytree(finished.folder, tmp_path / "run")
+    return tmp_path / "run", started
+
+
+def test_what_a_process_that_draws_cannot_do_is_an_error_of_the_run(copied: tuple[Path, list[ForkedProcess]]) -> None:
+    folder, started = copied
+    manifest, metrics = read_manifest(folder), read_json(folder / "metrics.json")
+    (folder / "report.html").unlink()
+
+    def kill(event: Event) -> None:
+        os.kill(started[-1].pid, signal.SIGKILL)
+
+    with pytest.raises(StageFailed, match=r"report: the process that draws it ended with code -9 .* --resume"):
+        draw_report(folder, manifest, metrics, kill)
+    (folder / "plan.json").write_text("{}")
+    with pytest.raises(BadInput, match=r"plan\.json"):
+        draw_report(folder, manifest, metrics, lambda event: None)
+    assert len(started) == 2 and not (folder / "report.html").exists()
+
+
+def test_an_interrupt_ends_the_process_that_draws(copied: tuple[Path, list[ForkedProcess]]) -> None:
+    folder, started = copied
+
+    def interrupt(event: Event) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        draw_report(folder, read_manifest(folder), read_json(folder / "metrics.json"), interrupt)
+    (process,) = started
+    assert process.returncode is not None and not Path(f"/proc/{process.pid}").exists()
 
 
 def test_a_run_tells_how_far_its_report_is(finished: RunResult, heard: list[Event]) -> None:

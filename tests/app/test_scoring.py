@@ -16,7 +16,8 @@ from radiant_app.events import Decided
 from radiant_app.report.html import describe_unscored
 from radiant_app.reporting import EventReporter
 from radiant_app.run.scoring import Scoring, ScoringMachine, combine_figures
-from radiant_app.workers.evaluation import SCORES_NAME, ScoredImage, png_bytes, run_score
+from radiant_app.workers.evaluation import ScoredImage, png_bytes, run_score
+from radiant_app.workers.score_files import SCORES_NAME
 from radiant_app.workers.scores import read_scores
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME, Move, ScoreTask
 from radiant_core.cameras import Cameras
@@ -103,7 +104,9 @@ def test_one_machine_with_all_photographs_and_two_devices_in_frames_of_their_own
     files = {name: scored(run, f"devices/{name}/score", CAMERAS.select(list(rows)), move) for name, (rows, move) in shares.items()}
     divided = combine_figures(run, {name: read_scores(file) for name, file in files.items()}, None)
     assert whole["seam_excess_db"] is not None and whole["seam_photographs"] == 12 and not whole["seam_found"]
-    assert [row["between"] for row in whole["borders"]] == [("0", "1")] and whole["borders"][0]["seam_excess_db"] == whole["seam_excess_db"]
+    assert [row["between"] for row in whole["borders"]] == [("edge-0", "edge-1")] and whole["borders"][0]["seam_excess_db"] == whole[
+        "seam_excess_db"
+    ]
     assert whole["num_gaussians"] == 400 and "leakage" not in whole
     assert [row["name"] for row in whole["images"]] == list(CAMERAS.names)
     assert [row["name"] for row in divided["images"]][4:6] == ["a/held-out-0004", "b/held-out-0000"]

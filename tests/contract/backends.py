@@ -10,10 +10,11 @@ import torch
 from torch import Tensor
 
 from radiant_core.cameras import Cameras
+from radiant_core.render.backends import device_of
 from radiant_core.render.contract import Backend, RenderOutput, SplatTensors, ViewOptions
 from radiant_core.render.gsplat_backend import missing_for_gsplat
 from radiant_core.render.native_backend import instruction_sets, rasterize_native
-from radiant_core.render.rasterize import device_of, rasterize
+from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import SH_C0, Splats
 
 NATIVE = tuple(f"native-{name}" for name in instruction_sets())

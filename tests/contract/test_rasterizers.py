@@ -16,8 +16,9 @@ import torch
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.render.backends import device_of
 from radiant_core.render.contract import Backend, SplatTensors
-from radiant_core.render.rasterize import device_of, rasterize
+from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import Splats
 
 from . import gaussians

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from radiant_core.aggregate.join_memory import MOST_STATISTICS_BYTES
-from radiant_core.train.native_loss import STATISTICS_BYTES_PER_PX
+from radiant_core.train.memory import STATISTICS_BYTES_PER_PX
 
 pytestmark = pytest.mark.stress
 

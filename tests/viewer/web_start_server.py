@@ -4,13 +4,15 @@ tests.viewer.web_start_server`, until interrupted."""
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 from radiant_app.commands.inspect.feeds import start_feeds
 from radiant_app.commands.run.control import BegunCommand
 from radiant_app.interrupts import interrupt_on_signals
 from radiant_viewer.web.server import open_start_page
 
-SMALL = ("--steps", "60", "--long-side-px", "96", "--max-splats", "2000")
+KNOWN = Path(__file__).parents[2] / "sample_scenes/hamlet/known"
+SMALL = ("--steps", "60", "--long-side-px", "96", "--max-splats", "2000", "--poses", str(KNOWN))
 
 if __name__ == "__main__":
     # As the command does: whoever began this may have had interrupts ignored.

@@ -25,7 +25,7 @@ from radiant_core.aggregate.config import MAX_TILES
 from radiant_core.aggregate.tiles import most_fitted, tiles_of
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.splats import Splats, concatenate_splats
-from radiant_core.train.native_loss import STATISTICS_BYTES_PER_PX
+from radiant_core.train.memory import STATISTICS_BYTES_PER_PX
 
 PROCESS_BYTES = 390_000_000
 COPIES, COPIES_BY_TILES, COPIES_OF_A_TILE = 3, 6, 4

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_pair import Used, check_image_pair, check_used, replace_unused
@@ -28,6 +29,8 @@ SSIM_WINDOW_PX = 11
 SSIM_SIGMA_PX = 1.5
 SSIM_C1 = 0.01**2
 SSIM_C2 = 0.03**2
+LPIPS_SIDE_PX: dict[LpipsNetwork, int] = {"vgg": 16, "alex": 31}
+"""A shorter image would vanish before the last tap."""
 
 MIN_SQUARED_ERROR = 1e-10
 """Equal images count as 100 dB, so that every figure stays finite; 8-bit photographs cannot show
@@ -85,17 +88,27 @@ def ssim(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
     The other pixels are taken as equal. Raises BadInput on other shapes or values, a side under 11
     px, or where no such window is left.
     """
-    render, photograph = check_image_pair(render, photograph)
-    render = replace_unused(render, photograph, used)
-    if min(render.shape[:2]) < SSIM_WINDOW_PX:
-        raise BadInput(f"images of {render.shape[1]}×{render.shape[0]} px are too small for SSIM: give at least 11 px a side.")
-    mean_a, mean_b = _window_mean(render), _window_mean(photograph)
-    variance_a = _window_mean(render * render) - mean_a * mean_a
-    variance_b = _window_mean(photograph * photograph) - mean_b * mean_b
-    covariance = _window_mean(render * photograph) - mean_a * mean_b
-    likeness = (2 * mean_a * mean_b + SSIM_C1) * (2 * covariance + SSIM_C2)
-    windows = likeness / ((mean_a**2 + mean_b**2 + SSIM_C1) * (variance_a + variance_b + SSIM_C2))
-    return float(np.mean(windows if used is None else windows[check_used(inner_pixels(used), windows)]))
+    return ssim_of_each([render], photograph, used)[0]
+
+
+def ssim_of_each(renders: Sequence[ArrayLike], photograph: ArrayLike, used: Used = None) -> list[float]:
+    """The same of several renders of one photograph, whose windows are taken once."""
+    pairs = [check_image_pair(render, photograph) for render in renders]
+    whole = pairs[0][1]
+    if min(whole.shape[:2]) < SSIM_WINDOW_PX:
+        raise BadInput(f"images of {whole.shape[1]}×{whole.shape[0]} px are too small for SSIM: give at least 11 px a side.")
+    mean_b = _window_mean(whole)
+    variance_b = _window_mean(whole * whole) - mean_b * mean_b
+    figures = []
+    for given, _ in pairs:
+        render = replace_unused(given, whole, used)
+        mean_a = _window_mean(render)
+        variance_a = _window_mean(render * render) - mean_a * mean_a
+        covariance = _window_mean(render * whole) - mean_a * mean_b
+        likeness = (2 * mean_a * mean_b + SSIM_C1) * (2 * covariance + SSIM_C2)
+        windows = likeness / ((mean_a**2 + mean_b**2 + SSIM_C1) * (variance_a + variance_b + SSIM_C2))
+        figures.append(float(np.mean(windows if used is None else windows[check_used(inner_pixels(used), windows)])))
+    return figures
 
 
 def flip(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float | None:
@@ -119,14 +132,15 @@ def image_errors(name: str, render: ArrayLike, photograph: ArrayLike, lpips: Dis
     BadInput on other shapes or values.
     """
     corrected = correct_colors(render, photograph, used)
+    plain_ssim, corrected_ssim = ssim_of_each([render, corrected], photograph, used)
     return ImageErrors(
         name=name,
         psnr_db=psnr_db(render, photograph, used),
-        ssim=ssim(render, photograph, used),
+        ssim=plain_ssim,
         flip=flip(render, photograph, used),
         lpips=None if lpips is None else lpips(replace_unused(render, photograph, used), photograph),
         psnr_cc_db=psnr_db(corrected, photograph, used),
-        ssim_cc=ssim(corrected, photograph, used),
+        ssim_cc=corrected_ssim,
     )
 
 

@@ -27,6 +27,7 @@ from torch import Tensor
 
 from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.image_error import LPIPS_SIDE_PX
 from radiant_core.evaluate.image_pair import check_image_pair
 from radiant_core.io.array_layout import require_layout
 from radiant_core.io.run_store import write_atomic
@@ -34,8 +35,6 @@ from radiant_core.io.run_store import write_atomic
 INPUT_SHIFT = (-0.030, -0.088, -0.188)
 INPUT_SCALE = (0.458, 0.448, 0.450)
 LENGTH_EPSILON = 1e-10
-MIN_SIDE_PX: dict[LpipsNetwork, int] = {"vgg": 16, "alex": 31}
-"""A shorter image would vanish before the last tap."""
 MAX_FILE_BYTES = 2**30
 """torchvision's VGG16 has 528 MiB, most of it layers that are not needed."""
 
@@ -106,7 +105,7 @@ class Lpips:
     @property
     def min_side_px(self) -> int:
         """Shorter images have no LPIPS."""
-        return MIN_SIDE_PX[self.network]
+        return LPIPS_SIDE_PX[self.network]
 
     def __call__(self, render: ArrayLike, photograph: ArrayLike) -> float:
         """LPIPS of two images (H,W,3) in 0..1, 0 where they are equal; BadInput on other shapes or

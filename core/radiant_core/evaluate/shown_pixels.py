@@ -15,8 +15,9 @@ import torch
 from radiant_core.cameras import Cameras
 from radiant_core.geometry.coverage import reached_by
 from radiant_core.numerics import FloatArray
+from radiant_core.render.backends import device_of, resolve_backend
 from radiant_core.render.contract import Backend, SplatTensors
-from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
+from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import SH_C0, Splats
 
 SHARES_SIDE_PX = 256

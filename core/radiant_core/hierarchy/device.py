@@ -21,9 +21,9 @@ from radiant_core.hierarchy.reporter import Machine, OneOfSeveral, Reporter, fit
 from radiant_core.io.run_store import content_key
 from radiant_core.light.canonical import canonical_validation, canonical_views
 from radiant_core.numerics import FloatArray
+from radiant_core.render.backends import resolve_backend
 from radiant_core.render.contract import Backend
 from radiant_core.render.gsplat_backend import free_vram_bytes
-from radiant_core.render.rasterize import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
@@ -35,8 +35,7 @@ from radiant_core.train.few import Trial, choose_for_few, score_apart
 from radiant_core.train.fill_in import NO_POINTS, AddedPoints, fill_in_points
 from radiant_core.train.gates import choose_helpers, open_gates
 from radiant_core.train.initialize import first_splats, sky_share
-from radiant_core.train.memory import memory_plan, within_memory, within_vram
-from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
+from radiant_core.train.memory import STATISTICS_BUDGET_BYTES, memory_plan, within_memory, within_vram
 from radiant_core.train.needs import fit_to_views, most_splats
 from radiant_core.train.results import TrainResult
 from radiant_core.train.trainer import FitOptions, NoCheckpoints, fit_splats

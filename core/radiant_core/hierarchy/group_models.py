@@ -11,10 +11,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from radiant_core.aggregate.virtual_cameras import virtual_cameras
-from radiant_core.cameras import NO_CAMERAS, Cameras, concatenate_cameras
+from radiant_core.cameras import NO_CAMERAS, Cameras, concatenate_cameras, number_cameras
 from radiant_core.hierarchy.device import training_summary
 from radiant_core.hierarchy.groups import GroupTraining
-from radiant_core.hierarchy.joining import UNMOVED, number_cameras
+from radiant_core.hierarchy.joining import UNMOVED
 from radiant_core.hierarchy.messages import EdgeModel, EdgeTask, SceneModel
 from radiant_core.hierarchy.together import ShareStart
 from radiant_core.io.run_store import content_key

@@ -4,10 +4,13 @@ to have more. Once per join."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from radiant_core.aggregate.join_memory import JoinMemory
 from radiant_core.decisions import Decision
-from radiant_core.hierarchy.reporter import Machine, Reporter
+
+if TYPE_CHECKING:
+    from radiant_core.aggregate.join_memory import JoinMemory
+    from radiant_core.hierarchy.reporter import Machine, Reporter
 
 MACHINE_SHARE = 0.8
 """Of the free memory of its machine, what joining may take where the system file has no limit."""

@@ -16,7 +16,7 @@ import numpy as np
 from radiant_core import __version__
 from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, MIN_MODELS, find_contradictions
 from radiant_core.aggregate.arrival import check_splats
-from radiant_core.cameras import Cameras
+from radiant_core.cameras import Cameras, number_cameras
 from radiant_core.decisions import Decision
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame, refine_frames
@@ -196,11 +196,6 @@ def _leave_out_contradicted(arrivals: Arrivals, reporter: Reporter, backend: Bac
         corrections={**arrivals.corrections, **dict.fromkeys(refused)},
         refused={**arrivals.refused, **refused},
     )
-
-
-def number_cameras(cameras: Cameras, prefix: str) -> Cameras:
-    """The same cameras named prefix/0000, prefix/0001, …: file names are their owner's business."""
-    return replace(cameras, names=tuple(f"{prefix}/{index:04d}" for index in range(len(cameras))))
 
 
 def _refinement_decision(stage: str, name: str, frame: RefinedFrame) -> Decision:

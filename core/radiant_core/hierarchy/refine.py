@@ -31,7 +31,7 @@ from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.config import without_mean
 from radiant_core.train.densify.policies import NoDensification
-from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
+from radiant_core.train.memory import STATISTICS_BUDGET_BYTES
 from radiant_core.train.trainer import FitOptions, Steps, fit_splats
 from radiant_core.train.views import TrainingViews
 

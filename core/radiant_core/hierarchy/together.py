@@ -19,13 +19,12 @@ import numpy as np
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from numpy.typing import NDArray
 
-from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.cameras import Cameras, concatenate_cameras, number_cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.decisions import sky_decision
 from radiant_core.hierarchy.device import choose_for_share
 from radiant_core.hierarchy.groups import GroupTraining, Seat
-from radiant_core.hierarchy.joining import number_cameras
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
 from radiant_core.light.canonical import canonical_views
@@ -38,8 +37,7 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.extent import extent_decision, working_extent
 from radiant_core.train.fill_in import AddedPoints
 from radiant_core.train.initialize import initial_gaussians, room_to_fill, sky_rgb_of, sky_share
-from radiant_core.train.memory import memory_plan
-from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
+from radiant_core.train.memory import STATISTICS_BUDGET_BYTES, memory_plan
 from radiant_core.train.needs import fit_to_cameras
 from radiant_core.train.results import TrainState
 from radiant_core.train.shapes import with_needle_width

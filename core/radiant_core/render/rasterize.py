@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from radiant_core.errors import BadInput
-from radiant_core.render.contract import Backend, Renderer, RenderOutput, SplatTensors, ViewOptions
+from radiant_core.render.contract import Backend, RenderOutput, SplatTensors, ViewOptions
 from radiant_core.render.finite import first_not_finite
 from radiant_core.render.gsplat_backend import missing_for_gsplat, rasterize_gsplat
 from radiant_core.render.native_backend import rasterize_native
@@ -79,16 +79,6 @@ def rasterize(
     if backend == "native":
         return rasterize_native(splats, viewmats, Ks, view)
     return rasterize_reference(splats, viewmats.to(splats.means), Ks.to(splats.means), view)
-
-
-def resolve_backend(backend: Backend) -> Renderer:
-    """The backend that `auto` means for float32 models here: gsplat where usable, else native."""
-    return ("native" if missing_for_gsplat() else "gsplat") if backend == "auto" else backend
-
-
-def device_of(backend: str) -> str:
-    """Where the tensors of a model that `backend` renders lie: "cuda" for gsplat, else "cpu"."""
-    return "cuda" if backend == "gsplat" else "cpu"
 
 
 def _backend_for(splats: SplatTensors, viewmats: Tensor, Ks: Tensor) -> Backend:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.numerics import FloatArray
+from radiant_core.render.backends import device_of, resolve_backend
 from radiant_core.render.contract import Backend, SplatTensors
-from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
+from radiant_core.render.rasterize import rasterize
 from radiant_core.render.reach import NEAR_M
 from radiant_core.splats import Splats
 

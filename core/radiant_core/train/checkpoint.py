@@ -19,7 +19,7 @@ from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.array_file import load_arrays, name_file_in_errors, stream_arrays
 from radiant_core.io.run_store import content_key, file_sha256, read_json, write_json
-from radiant_core.render.rasterize import resolve_backend
+from radiant_core.render.backends import resolve_backend
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.results import TrainState

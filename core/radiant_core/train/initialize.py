@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -18,7 +19,6 @@ from radiant_core.splats import SH_BASES, SH_C0, Splats, concatenate_splats, mor
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.dense.fuse import DensePoints
 from radiant_core.train.fill_in import NO_POINTS, AddedPoints, fill_in_points
-from radiant_core.train.thin_surfaces import lie_flat
 from radiant_core.train.views import TrainingViews
 
 INITIAL_OPACITY = 0.1
@@ -36,6 +36,8 @@ FLATNESS = 0.3
 """A dense point's Gaussian is so much thinner along its normal than across it."""
 REPLACED_SPACINGS = 1.5
 """A first Gaussian nearer than so many spacings to a dense point is that point's."""
+PLANE_NEIGHBOURS = 8
+"""Of a first Gaussian, in whose plane it lies."""
 
 
 def initial_splats(
@@ -220,3 +222,28 @@ def _sky_points(points: FloatArray, cameras: Cameras, count: int) -> FloatArray:
     angle = np.pi * (1 + np.sqrt(5)) * index
     shell = np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
     return (low + high) / 2 + radius * shell
+
+
+def lie_flat(splats: Splats, count: int, thinnest: float) -> Splats:
+    """The model with its first `count` Gaussians, isotropic ones, flat in the plane of their
+    neighbours, as much shorter across it as these spread less there, at least `thinnest` (0 to 1)
+    as thick as wide; as it is with too few for a plane."""
+    if count <= PLANE_NEIGHBOURS or thinnest >= 1:
+        return splats
+    places = splats.means[:count].astype(np.float64)
+    spreads, axes = _local_axes(places)
+    ratio = np.sqrt(spreads[:, 0] / np.maximum(spreads[:, 1], 1e-300))
+    # The axis across the plane is the first one; a right-handed frame.
+    axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
+    quats, log_scales = splats.quats.copy(), splats.log_scales.copy()
+    quats[:count] = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    log_scales[:count, 0] += np.log(np.clip(ratio, thinnest, 1.0)).astype(np.float32)
+    return replace(splats, quats=quats, log_scales=log_scales)
+
+
+def _local_axes(places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Variances (P,3), ascending, and axes (P,3,3) in columns, of every place's neighbours."""
+    around = places[KDTree(places).query(places, k=PLANE_NEIGHBOURS)[1]]
+    around = around - around.mean(axis=1, keepdims=True)
+    variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
+    return np.maximum(variances, 0.0), axes

@@ -23,13 +23,18 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES, STATISTICS_BYTES_PER_PX
 from radiant_core.train.needs import MIN_PLANNED, fit_dropping, fit_thinning, pixels_per_splat
 
 BASE_BYTES = 95_000_000
 COPIES, COPIES_OF_MEAN = 7.0, 1.5
 RASTERIZER_BYTES_PER_SPLAT = 600
 IMAGE_BYTES_PER_PX, MASK_BYTES_PER_PX, STEP_BYTES_PER_PX = 3, 1, 112
+STATISTICS_BUDGET_BYTES = 1 << 30
+"""Memory for what the loss of a training keeps of its views (a join: `join_memory`); without it the
+loss takes 1.8 times as long."""
+STATISTICS_BYTES_PER_PX = 24
+"""Means and variances, three float32 each. The target itself is 12 more and comes from its bytes in
+each step, to the same values."""
 MAX_STATISTICS_SHARE = 0.25
 """At most this share of what photographs leave free keeps statistics, which only save time."""
 VRAM_SHARE = 0.8

@@ -25,13 +25,8 @@ from radiant_core import _native
 from radiant_core.errors import BadInput
 from radiant_core.train.device_loss import device_loss, device_statistics
 from radiant_core.train.losses import weighted_loss
+from radiant_core.train.memory import STATISTICS_BUDGET_BYTES
 
-STATISTICS_BUDGET_BYTES = 1 << 30
-"""Memory for what a training keeps of its views (a join: `join_memory`); without it the loss takes
-1.8 times as long."""
-STATISTICS_BYTES_PER_PX = 24
-"""Means and variances, three float32 each. The target itself is 12 more and comes from its bytes in
-each step, to the same values."""
 STATISTICS_VRAM_SHARE = 0.1
 """Share of a GPU's free memory for them, of what `train.memory` leaves beside the Gaussians."""
 

@@ -2,8 +2,7 @@
 
 From the flown views a cloud shows what a surface shows; from beside it, it is haze. Three measures:
 
-    start      the first Gaussians lie flat: turned to the plane of their 8 nearest neighbours, with
-               the axis across it as much shorter as the neighbours' spread is, σ₀ / σ₁ ≥ t
+    start      the first Gaussians lie flat (`initialize.lie_flat`)
     thickness  loss + a · mean of ln σ_min, of those with σ_min > σ_mid / 10
     spread     loss + b · mean over pixels of α √(Σ w z² / Σ w − z̄²) / z̄,  z̄ = Σ w z / Σ w, for
                depths z of the Gaussians' centres, blended like colours in a second, smaller
@@ -18,21 +17,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import torch
-from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import Backend, RenderOutput, SplatTensors
 from radiant_core.render.rasterize import rasterize
-from radiant_core.splats import SH_C0, Splats
+from radiant_core.splats import SH_C0
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.views import TrainingViews
 
-NEIGHBOURS = 8
 THINNEST = 0.1
 """A shortest axis below this share of the second one is not made shorter."""
 SPREAD_EVERY = 4
@@ -42,30 +36,6 @@ FARTHEST = 4.0
 """Depths count up to this many times a view's median: the sky would outweigh everything."""
 MIN_SPREAD = 1e-3
 """Added to the spread, in quadrature: the root has no slope at zero."""
-
-
-def lie_flat(splats: Splats, count: int, thinnest: float) -> Splats:
-    """The model with its first `count` Gaussians, isotropic ones, flat in the plane of their
-    neighbours, at least `thinnest` (0 to 1) as thick as wide; as it is with too few for a plane."""
-    if count <= NEIGHBOURS or thinnest >= 1:
-        return splats
-    places = splats.means[:count].astype(np.float64)
-    spreads, axes = _local_axes(places)
-    ratio = np.sqrt(spreads[:, 0] / np.maximum(spreads[:, 1], 1e-300))
-    # The axis across the plane is the first one; a right-handed frame.
-    axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
-    quats, log_scales = splats.quats.copy(), splats.log_scales.copy()
-    quats[:count] = Rotation.from_matrix(axes).as_quat(scalar_first=True)
-    log_scales[:count, 0] += np.log(np.clip(ratio, thinnest, 1.0)).astype(np.float32)
-    return replace(splats, quats=quats, log_scales=log_scales)
-
-
-def _local_axes(places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Variances (P,3), ascending, and axes (P,3,3) in columns, of every place's neighbours."""
-    around = places[KDTree(places).query(places, k=NEIGHBOURS)[1]]
-    around = around - around.mean(axis=1, keepdims=True)
-    variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
-    return np.maximum(variances, 0.0), axes
 
 
 class ThinSurfaces(Part):

@@ -19,8 +19,8 @@ import torch
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.render.backends import device_of, resolve_backend
 from radiant_core.render.contract import Backend, RenderOutput, SplatTensors
-from radiant_core.render.rasterize import device_of, resolve_backend
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.density import AdaptiveDensity
@@ -30,7 +30,7 @@ from radiant_core.train.drop import DroppedGaussians
 from radiant_core.train.extent import working_extent
 from radiant_core.train.held import HeldRows
 from radiant_core.train.mean_model import MeanModel
-from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
+from radiant_core.train.memory import STATISTICS_BUDGET_BYTES
 from radiant_core.train.optimizer import BETA1, SelectiveAdam
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainProgress, TrainResult, TrainState

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.render.backends import device_of, resolve_backend
 from radiant_core.render.contract import Backend, RenderOutput, SplatTensors
-from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
+from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.native_loss import StatisticsCache, target_loss

@@ -82,7 +82,7 @@ class ProfileRequest:
 def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float] = time.monotonic) -> dict[str, Any]:
     """Measure this machine and write its curve file; returns what the command line prints. Raises
     BadInput for unusable input, StageFailed when a training fails; no file is written then."""
-    from radiant_core.render.rasterize import resolve_backend
+    from radiant_core.render.backends import resolve_backend
 
     backend = resolve_backend("auto")
     train = planned_training(request.preset, request.overrides)

@@ -21,7 +21,8 @@ from radiant_app.commands.model.given_model import given_model
 from radiant_app.commands.run.steps import require_file_to_be, require_run, stage_bar
 from radiant_app.files.out_folder import folder_made_for
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
+from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored
+from radiant_app.workers.score_files import summarize_scores
 from radiant_app.workers.sources import captures_of, is_held_out, load_scored_scene, locate_source, masks_folder_of, notes_on_source
 from radiant_app.workers.tasks import HELD_OUT_NAME, INITIAL_NAME, OWN_NAME, TRAINED_NAME
 from radiant_app.workers.training import MASKS

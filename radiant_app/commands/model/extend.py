@@ -81,7 +81,7 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.aggregate.extend import NewRegion, extend_scene
     from radiant_core.aggregate.synthetic_views import Teacher
     from radiant_core.hierarchy.reporter import Machine, fit_options
-    from radiant_core.render.rasterize import resolve_backend
+    from radiant_core.render.backends import resolve_backend
 
     if request.num_epochs is not None and request.num_epochs < 1:
         raise BadInput(f"the margin is shown {request.num_epochs} times, and nobody else fits it: give 1 or more epochs.")

@@ -32,7 +32,8 @@ from radiant_app.report.added_page import write_added_page
 from radiant_app.report.ground_control import placing_of_run
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.dealing import deal_files, deal_masks
-from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
+from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored
+from radiant_app.workers.score_files import summarize_scores
 from radiant_app.workers.sources import captures_of, masks_folder_of
 from radiant_core.aggregate.added_views import RefinedModel, refine_with_views
 from radiant_core.decisions import Decision
@@ -45,7 +46,7 @@ from radiant_core.io.run_store import write_json
 from radiant_core.light.canonical import light_of_score
 from radiant_core.light.captures import save_captures
 from radiant_core.light.solve import COMPARED_PX
-from radiant_core.render.rasterize import resolve_backend
+from radiant_core.render.backends import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.adding import AddedPhotographs, add_photographs
 from radiant_core.sfm.config import SfmConfig

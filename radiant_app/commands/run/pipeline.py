@@ -25,6 +25,7 @@ from radiant_app.files.run_folder import Manifest, open_run
 from radiant_app.network.far_devices import FarDevices
 from radiant_app.network.home import open_home, require_cloud
 from radiant_app.network.serving import require_network
+from radiant_app.report.drawing import draw_report
 from radiant_app.report.ground_control import placing_of_run, survey_of_run
 from radiant_app.report.prediction_error import prediction_of
 from radiant_app.run.conducting import conduct
@@ -46,11 +47,10 @@ from radiant_app.run.stages import (
 )
 from radiant_app.run.this_machine import system_of
 from radiant_app.run.whole_run import WholeRun
-from radiant_app.workers.evaluation import LPIPS_NAME
 from radiant_app.workers.memory import peak_bytes
+from radiant_app.workers.score_files import LPIPS_NAME
 from radiant_app.workers.sources import SURVEY, detect_source
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.lpips import load_lpips, save_lpips
 from radiant_core.hierarchy.choosing import REFINED
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.ply import load_ply
@@ -119,14 +119,10 @@ def run(
         >>> result = radiant.run(config)  # doctest: +SKIP
         >>> radiant.save_splats(result.load_splats(), "scene.spz")  # doctest: +SKIP
     """
-    from radiant_app.report.html import write_report
-
     system = _check_system(config)
-    lpips = None if config.evaluate.lpips_weights is None else load_lpips(config.evaluate.lpips_weights, config.evaluate.lpips_network)
+    save_lpips = _read_lpips(config)
     with open_run(config, resume) as manifest, EventFile(config.out, listen) as heard, _owners(config) as owners, keep_servers():
-        if lpips is not None:
-            (config.out / "evaluation").mkdir(exist_ok=True)
-            save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
+        save_lpips()
         whole = WholeRun(listen=heard, clock=clock, slowdown=slowdown())
         progress = Progress(manifest=manifest, listener=whole, clock=clock, started_s=clock() - manifest.ended_s)
         if not keeps_modes(config.out):
@@ -144,7 +140,7 @@ def run(
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **refined, **emulation}
         metrics = _write_metrics(config, manifest, dealer.recipe, more)
         manifest.status = "done"
-        write_report(config.out, manifest, metrics, whole)
+        draw_report(config.out, manifest, metrics, whole)
     return RunResult(folder=config.out, metrics=metrics)
 
 
@@ -165,6 +161,22 @@ def _check_system(config: RunConfig) -> System:
         require_network()
         require_cloud(open_home(config.source))
     return system
+
+
+def _read_lpips(config: RunConfig) -> Callable[[], None]:
+    """Read the weights of LPIPS, if any are given; what is returned saves them where scenes are
+    scored. BadInput where they are none."""
+    if config.evaluate.lpips_weights is None:
+        return lambda: None
+    from radiant_core.evaluate.lpips import load_lpips, save_lpips
+
+    lpips, folder = load_lpips(config.evaluate.lpips_weights, config.evaluate.lpips_network), config.out / "evaluation"
+
+    def save() -> None:
+        folder.mkdir(exist_ok=True)
+        save_lpips(folder / LPIPS_NAME, lpips)
+
+    return save
 
 
 @contextmanager

@@ -31,8 +31,9 @@ from radiant_app.report.ground_control import placing_of_run
 from radiant_app.reporting import EventReporter
 from radiant_app.run.pooled import require_size, sfm_stage
 from radiant_app.run.progress import Progress
-from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored, summarize_scores
+from radiant_app.workers.evaluation import HeldOutViews, score_images, select_scored
 from radiant_app.workers.memory import base_bytes_in, peak_bytes, resident_bytes
+from radiant_app.workers.score_files import summarize_scores
 from radiant_app.workers.sources import captures_of, detect_source, has_scene, load_scored_scene, masks_folder_of
 from radiant_app.workers.training import CHECKPOINTS, remove_checkpoints
 from radiant_core.cameras import Cameras
@@ -50,7 +51,7 @@ from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
 from radiant_core.light.canonical import light_of_score
 from radiant_core.light.captures import Captures
 from radiant_core.light.solve import COMPARED_PX
-from radiant_core.render.rasterize import resolve_backend
+from radiant_core.render.backends import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.intake import AS_FOUND, Intake
 from radiant_core.sfm.world_frame.placement import AUTO, Placement

@@ -14,10 +14,11 @@ from torch import Tensor
 
 from radiant_core.errors import BadInput
 from radiant_core.render import gsplat_backend
+from radiant_core.render.backends import resolve_backend
 from radiant_core.render.contract import SplatTensors
 from radiant_core.render.finite import are_finite
 from radiant_core.render.gsplat_backend import missing_for_gsplat
-from radiant_core.render.rasterize import rasterize, resolve_backend
+from radiant_core.render.rasterize import rasterize
 from tests.contract import gaussians
 
 

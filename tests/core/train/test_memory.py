@@ -11,8 +11,15 @@ from hypothesis import strategies as st
 
 from radiant_core.errors import BadInput
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.memory import MIN_SPLATS, bytes_per_splat, fixed_bytes, memory_plan, within_memory, within_vram
-from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
+from radiant_core.train.memory import (
+    MIN_SPLATS,
+    STATISTICS_BUDGET_BYTES,
+    bytes_per_splat,
+    fixed_bytes,
+    memory_plan,
+    within_memory,
+    within_vram,
+)
 from tests.core.scenes import cameras_above
 
 CAMERAS = cameras_above([(x, 0.0) for x in range(40)], size_wh=(640, 480))

@@ -14,7 +14,8 @@ from torch import Tensor
 from radiant_core import _native
 from radiant_core.errors import BadInput
 from radiant_core.train.losses import weighted_loss
-from radiant_core.train.native_loss import STATISTICS_BYTES_PER_PX, StatisticsCache, TargetStatistics, target_loss
+from radiant_core.train.memory import STATISTICS_BYTES_PER_PX
+from radiant_core.train.native_loss import StatisticsCache, TargetStatistics, target_loss
 
 SHAPES = [(1, 1), (1, 40), (40, 1), (3, 500), (5, 5), (11, 17), (33, 64), (70, 43)]
 # Float32's rounding is 6e-8; a window of 121 weighted terms and a row of pixels add a few of them.

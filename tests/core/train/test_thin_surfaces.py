@@ -13,7 +13,8 @@ from radiant_core.errors import BadInput
 from radiant_core.render.contract import SplatTensors
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.thin_surfaces import MIN_SPREAD, THINNEST, depth_spread, lie_flat, thickness_gradient
+from radiant_core.train.initialize import lie_flat
+from radiant_core.train.thin_surfaces import MIN_SPREAD, THINNEST, depth_spread, thickness_gradient
 from radiant_core.train.trainer import fit_splats
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats

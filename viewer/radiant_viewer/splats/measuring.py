@@ -19,7 +19,7 @@ import numpy as np
 from radiant_core.cameras import Cameras
 from radiant_core.choices import Painter
 from radiant_core.io.ply import load_ply
-from radiant_core.render.rasterize import resolve_backend
+from radiant_core.render.backends import resolve_backend
 from radiant_core.splats import Splats
 from radiant_viewer.layers.depth_picture import Rgbd
 from radiant_viewer.splats.choosing import Measured, has_graphics_card

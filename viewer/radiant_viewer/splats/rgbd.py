@@ -11,8 +11,9 @@ import numpy as np
 import torch
 
 from radiant_core.cameras import Cameras
+from radiant_core.render.backends import device_of, resolve_backend
 from radiant_core.render.contract import SplatTensors
-from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
+from radiant_core.render.rasterize import rasterize
 from radiant_core.render.reach import Reach
 from radiant_core.splats import Splats
 from radiant_viewer.layers.depth_picture import OPAQUE, Rgbd
