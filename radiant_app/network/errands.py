@@ -279,7 +279,7 @@ class Errands:
         if errand.outcome is None:
             errand.outcome = errand.work.outcome()
             self._keep(errand.work.heard())
-        # What it said goes first: once the result is there, the node above hears nothing more of the task.
+        # What it said goes first: the node above hears nothing of a task whose result is there.
         is_said = not self.waiting and not self.sending
         if errand.outcome is not None and errand.outcome.error is None and not errand.sent and is_said:
             try:

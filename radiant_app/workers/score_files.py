@@ -1,4 +1,4 @@
-"""What scoring a scene leaves in a folder, and what its figures come to. Once per machine and run."""
+"""What scoring a scene leaves in a folder, and what its figures come to. Once per machine."""
 
 from __future__ import annotations
 

@@ -9,9 +9,10 @@ is of decibels: that of squared errors is the worst photograph's, where somethin
 view it is weighted by how alike the photographs look, from which side and how near; for the map it
 is that of all. f and g are fitted to held-out photographs by turns, each the closest rising
 function to what the other leaves (isotonic regression; Bacchetti, J. Am. Stat. Assoc. 84, 1989). It
-predicts for views like the photographs, not for any view. How far it can be trusted is measured on photographs that took no
-part in its fit, by cell, a mean over those that show it: `margin_db` is what nine of ten cells
-there exceed, `rank` the correlation of ranks. M samples: a facet in a held-out photograph.
+predicts for views like the photographs, not for any view. How far it can be trusted is measured on
+photographs that took no part in its fit, by cell, a mean over those that show it: `margin_db` is
+what nine of ten cells there exceed, `rank` the correlation of ranks. M samples: a facet in a
+held-out photograph.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ MARGIN = 0.1
 """Share of the cells that may be worse than they are called."""
 MIN_SAMPLES = 100
 ALIKE_DEG, ALIKE_RATIO, LEAST_WEIGHT = 20.0, 0.5, 0.01
-"""Two looks at a facet weigh exp(−(angle / 20°)² − (ln of their GSDs' ratio / 0.5)²) and 0.01 more."""
+"""Two looks at a facet weigh exp(−(angle / 20°)² − (ln(ratio of GSDs) / 0.5)²) and 0.01 more."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -171,7 +172,7 @@ class TrainingErrors:
         return np.where(self._num > 0, total / np.maximum(self._num, 1), np.nan)
 
     def seen_alike_db(self, sighting: Sighting) -> FloatArray:
-        """Mean y (R,) at the facets of another view, of the photographs that see each as it does."""
+        """Mean y (R,) at the facets of another view, of photographs that see each as it does."""
         num = self._num[sighting.rows]
         look = np.repeat(np.arange(len(num)), num)
         of = np.arange(len(look)) - np.repeat(np.cumsum(num) - num, num) + self._first[sighting.rows][look]

@@ -23,8 +23,8 @@ MAX_ROUNDS, NUM_STARTS = 50, 16
 CORNER_CELLS = 1.0
 """Corners are passed so many cells outside."""
 HEADROOM = 1.5
-"""Around eight of the generator's towns the tallest thing is at most 1.45 times as tall as the tallest
-within."""
+"""Around eight of the generator's towns the tallest thing is at most 1.45 times as tall as the
+tallest within."""
 
 
 def shortest_order(places: FloatArray) -> NDArray[np.int64]:

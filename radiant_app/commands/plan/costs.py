@@ -23,8 +23,8 @@ from radiant_core.train.needs import Overrides
 
 @dataclass(frozen=True, kw_only=True)
 class InTime:
-    """How many of the best views machines do by a deadline, and at which costs; choice, and left_out,
-    why others are: None where none is."""
+    """How many of the best views machines do by a deadline, and at which costs; choice, and
+    left_out, why others are: None where none is."""
 
     system: System
     num_views: int
@@ -63,8 +63,8 @@ def views_in_time(system: System, count: int, deadline_s: float, *, asked: bool)
 
 
 def _slowest(system: System, num_views: int) -> tuple[float, str]:
-    """The least makespan in s of so many views, infinite where memory holds fewer, and the edge that
-    takes it."""
+    """The least makespan in s of so many views, infinite where memory holds fewer, and the edge
+    that takes it."""
     costed, _ = costed_by_training(system, num_views)
     if system_capacity(costed, num_views) < num_views:
         return math.inf, system.edges[0].id
