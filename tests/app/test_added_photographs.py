@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 import tifffile
 from rich.console import Console
+from scipy.stats import spearmanr
 from typer.testing import CliRunner
 
 import radiant
 from radiant_app.cli.app import app
 from radiant_app.commands.model.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.plan import before_after
 from radiant_app.commands.plan.added_photographs import AddedRequest, extend_by_photographs
-from radiant_app.commands.plan.before_after import BANDS
+from radiant_app.commands.plan.before_after import BANDS, known_before_after
 from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_app.commands.run.train import TrainRequest, train
+from radiant_app.commands.survey.parts import load_survey
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.export.geotiff import NO_DATA
@@ -102,6 +105,18 @@ def test_each_cell_has_what_was_known_and_what_is(extended: tuple[Path, dict[str
     assert more.max() == 2
     was, is_now = (float(part.split()[0]) for part in figures["hole_ground"].split(" → "))
     assert is_now <= was
+
+
+def test_errors_are_read_at_the_same_places_of_smaller_pictures(
+    run: Path, extended: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    earlier, survey = load_survey(run), load_survey(extended[0], as_trained=True)
+    whole = known_before_after(survey, earlier, quiet()).after.error_db
+    monkeypatch.setattr(before_after, "LONG_SIDE_PX", 160)
+    smaller = known_before_after(survey, earlier, quiet()).after.error_db
+    np.testing.assert_array_equal(np.isfinite(smaller), np.isfinite(whole))
+    scored = np.isfinite(whole)
+    assert scored.sum() > 100 and spearmanr(whole[scored], smaller[scored]).statistic > 0.9
 
 
 def test_the_result_is_extended_again_and_unusable_requests_leave_nothing(

@@ -115,8 +115,11 @@ def errors_in_views(
 ) -> Iterator[FloatArray]:
     """Per camera the mean squared error (R,) of the model about the pixels of the facets that it
     sees, over a square as wide as a cell there usually is; images (H,W,3) of the cameras' sizes.
-    weights: used shares (H,W) of their pixels; NaN at facets behind what a mask leaves out."""
+    weights: used shares (H,W) of their pixels; NaN at facets behind what a mask leaves out.
+    ValueError where sightings are of pictures of another size."""
     for index, (view, image, sighting) in enumerate(zip(render_views(splats, cameras), images, sightings, strict=True)):
+        if (sighting.pixels >= cameras.sizes_wh[index] + 1).any():
+            raise ValueError(f"a sighting is of pixels beyond a picture of {cameras.sizes_wh[index].tolist()} px")
         photograph = image.astype(np.float32) / 255
         used = None if weights is None else used_pixels(weights[index])
         if used is not None and not used.any():

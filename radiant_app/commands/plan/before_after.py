@@ -14,7 +14,9 @@ from radiant_app.commands.run.steps import stage_bar
 from radiant_app.commands.survey.parts import Survey
 from radiant_app.commands.survey.surface import photographs_of_survey
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.workers.sources import masks_folder_of
 from radiant_core.export.geotiff import NO_DATA, TiledRaster, cut_tiles, save_tiles
+from radiant_core.io.photos.masks import pixel_weights
 from radiant_core.next_flight.layers import HOLE, WEAK, KnownMap
 from radiant_core.next_flight.predicted_error import errors_in_views, mean_errors_db
 from radiant_core.next_flight.sightings import Sighting, Sights, known_by
@@ -75,16 +77,19 @@ def known_before_after(survey: Survey, earlier: Survey, display: ProgressDisplay
 
 def _held_out_db(survey: Survey, model: Splats, sights: Sights, sightings: tuple[Sighting, ...], display: ProgressDisplay) -> FloatArray:
     """PSNR (K,) of a model at each facet in the held-out photographs that see it; NaN elsewhere."""
-    cameras, images = survey.run.scene.cameras.scaled(LONG_SIDE_PX), photographs_of_survey(survey)
-    held_out = [row for row, name in enumerate(cameras.names) if name in survey.run.held_out]
+    cameras, images = survey.run.scene.cameras, photographs_of_survey(survey)
     assert images is not None
-    cell, errors = sights.facets.surface.grid.cell, list[FloatArray]()
+    held_out = np.array([row for row, name in enumerate(cameras.names) if name in survey.run.held_out], np.int64)
+    smaller, cell, errors = cameras.select(held_out).scaled(LONG_SIDE_PX), sights.facets.surface.grid.cell, list[FloatArray]()
+    shares_wh = smaller.sizes_wh / cameras.select(held_out).sizes_wh
+    seen = [sightings[row].scaled(shares) for row, shares in zip(held_out.tolist(), shares_wh, strict=True)]
+    pictures = (load_images(images, smaller.select([index]))[0] for index in range(len(smaller)))
+    weights = pixel_weights(masks_folder_of(survey.run.folder), smaller)
     with stage_bar(display, "held-out photographs") as report:
-        for row in held_out:
-            one = cameras.select([row])
-            errors += errors_in_views(model, one, load_images(images, one), [sightings[row]], cell)
-            report(len(errors), len(held_out), "photographs")
-    return mean_errors_db(len(sights.facets), [sightings[row] for row in held_out], errors)
+        for error in errors_in_views(model, smaller, pictures, seen, cell, weights):
+            errors.append(error)
+            report(len(errors), len(smaller), "photographs")
+    return mean_errors_db(len(sights.facets), seen, errors)
 
 
 def write_before_after(change: BeforeAfter, folder: Path) -> None:

@@ -75,6 +75,8 @@ def test_one_colour_map_of_a_photograph_is_no_error_of_the_model() -> None:
     )
     (errors,) = errors_in_views(splats, cameras, [darker], [sighting], 1.0)
     assert errors[0] <= (1.5 / 255) ** 2
+    with pytest.raises(ValueError, match="of pixels beyond a picture of"):
+        list(errors_in_views(splats, cameras.scaled(24), [darker[::2, ::2]], [sighting.scaled(np.array([2.0, 2.0]))], 1.0))
 
 
 def test_one_photograph_gives_no_margin_and_too_few_cells_no_prediction() -> None:
