@@ -75,6 +75,7 @@ from radiant_core.plan.flight.whole_lines import keep_lines
 from radiant_core.plan.heights import said_heights
 from radiant_core.plan.looks import camera_looks
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.regions.edge_sites import distant_edges
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
@@ -344,6 +345,7 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
     cut = _cut(cameras, request, start, place)
     positions, looks = (cameras.positions, None) if cut is None else (cut.places_of(cameras.positions), cut.looks)
     system = place(positions)
+    warnings = (*warnings, *distant_edges(system, cameras.origin))
     if request.raster_cell_m is not None:
         if request.slack is not None or constraints is not None:
             raise BadInput("--slack and --constraints need positions and --raster-cell-m plans without them: choose one.")
