@@ -35,7 +35,7 @@ from radiant_app.events import (
 from radiant_app.files.event_file import EventFile, read_progress
 from radiant_app.pace import Pace, RunPace, clock_text
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.report.tables import print_figures
+from radiant_app.report.tables import finish, print_figures
 from radiant_app.report.verdict import verdict_of
 from radiant_core.decisions import Decision
 from radiant_core.io.run_store import write_json
@@ -380,3 +380,24 @@ def test_the_first_sign_of_life_comes_before_heavy_libraries() -> None:
     command = [sys.executable, "-m", "radiant_app", "run", "no/such/folder", "--out", "/nowhere/run"]
     log = subprocess.run(command, capture_output=True, text=True, check=False)
     assert log.returncode == 2 and len(log.stderr.splitlines()) == 1 and log.stdout == ""
+
+
+def test_printed_figures_are_rounded_and_json_keeps_all_digits(capsys: pytest.CaptureFixture[str]) -> None:
+    result = {
+        "makespan_s": 63.32781686763339,
+        "area_m2": 1234567.891,
+        "ssim": 0.68094732,
+        "planned": 12,
+        "rows": [1.5],
+        "status": "optimal",
+    }
+    finish(result, as_json=False)
+    assert capsys.readouterr().out.splitlines() == [
+        "makespan_s: 63.33",
+        "area_m2: 1234567.89",
+        "ssim: 0.681",
+        "planned: 12",
+        "status: optimal",
+    ]
+    finish(result, as_json=True)
+    assert json.loads(capsys.readouterr().out) == result
