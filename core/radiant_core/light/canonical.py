@@ -110,7 +110,7 @@ def light_of_score(
     """
     if mode == "none" or not len(held_out):
         return None
-    solved = lights_from_model(model, trained, backend)
+    solved = lights_from_model(model, trained, backend, int(held_out.sizes_wh.max()))
     if not solved.lights.is_known.any() or (mode == "auto" and not solved.lights.is_worth_modelling):
         return None
     captures = complete_captures(captures, (*trained.cameras.names, *held_out.names))

@@ -47,6 +47,8 @@ BLUR_PX = 3
 NUM_PLACES = 64
 COMPARED_PX, SAMPLES, OPAQUE = 192, 2_000, 0.95
 """Size of the renders compared, pixels of each that are, and the opacity that these have."""
+NUM_SIZED = 8
+"""Views in which renders of that size are compared with larger ones."""
 GAIN_SPREAD, TERM_SPREAD = 1.0, 0.3
 """Standard deviations that log gains and terms of a vignetting have beforehand: what photographs
 that overlap little leave open stays near 0."""
@@ -131,10 +133,12 @@ class SeenLights:
     places: tuple[FloatArray, ...]
 
 
-def lights_from_model(model: Splats, views: TrainingViews, backend: Backend = "auto") -> SeenLights:
+def lights_from_model(model: Splats, views: TrainingViews, backend: Backend = "auto", seen_px: int | None = None) -> SeenLights:
     """The light of V photographs relative to a model: gains keep their mean, since the model's own
-    light is the canonical one. Cameras are in the frame of the model."""
+    light is the canonical one. Cameras are in the frame of the model. seen_px: long side of the
+    pictures in which its light is meant, by default that of the views."""
     cameras = views.cameras.scaled(COMPARED_PX)
+    times = round((int(views.cameras.sizes_wh.max(initial=1)) if seen_px is None else seen_px) / COMPARED_PX)
     per_view: list[tuple[NDArray[np.int64], FloatArray, FloatArray, NDArray[np.int64]]] = []
     places: list[FloatArray] = []
     for index, render in enumerate(render_views(model, cameras, backend)):
@@ -153,7 +157,28 @@ def lights_from_model(model: Splats, views: TrainingViews, backend: Backend = "a
         places.append(_places(cameras, index, render.depth, rows[:: max(1, len(rows) // NUM_PLACES)]))
     view, squared, logs, parts = (np.concatenate(column) for column in zip(*per_view, strict=True))
     lights = solve_lights(Observations(view=view, squared_radii=squared, logs=logs, part=parts), views.cameras)
+    if times > 1 and lights.is_known.any():
+        offset = _log_of_size(model, cameras, times, backend)
+        lights = replace(lights, log_gains=np.where(lights.is_known[:, None], lights.log_gains - offset, lights.log_gains))
     return SeenLights(lights=lights, places=tuple(places))
+
+
+def _log_of_size(model: Splats, cameras: Cameras, times: int, backend: Backend) -> FloatArray:
+    """By how much (3,) of log brightness renders `times` as large are above these, in the mean:
+    every Gaussian is widened by a share of a pixel, so that a model of trained sharpness is 3 %
+    brighter, or darker, in renders half as large."""
+    rows = np.unique(np.linspace(0, len(cameras) - 1, min(NUM_SIZED, len(cameras))).astype(np.int64))
+    some = cameras.select(rows)
+    large = replace(some, Ks=some.Ks * np.array([times, times, 1.0])[:, None], sizes_wh=times * some.sizes_wh)
+    logs = list[FloatArray]()
+    for whole, render in zip(render_views(model, large, backend), render_views(model, some, backend), strict=True):
+        height, width = render.image.shape[:2]
+        used = render.alpha > OPAQUE
+        averaged = cv2.resize(whole.image, (width, height), interpolation=cv2.INTER_AREA)[used]
+        logs.append(log_of_colors(255 * averaged.astype(np.float64)) - log_of_colors(255 * render.image[used].astype(np.float64)))
+    difference = np.concatenate(logs)
+    known = np.isfinite(difference)
+    return np.where(known, difference, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
 
 
 def _places(cameras: Cameras, index: int, depth: NDArray[np.float32], rows: NDArray[np.int64]) -> FloatArray:

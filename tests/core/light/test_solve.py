@@ -14,6 +14,7 @@ from radiant_core.frames import Frame
 from radiant_core.light import solve
 from radiant_core.light.lights import NUM_TERMS, Lights, cameras_alike, in_canonical_light
 from radiant_core.light.solve import (
+    COMPARED_PX,
     MIN_SHARED,
     Observations,
     lights_from_model,
@@ -23,6 +24,7 @@ from radiant_core.light.solve import (
 )
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
+from radiant_core.splats import SH_C0, concatenate_splats
 from radiant_core.train.views import TrainingViews
 from tests.core.light.plain_lights import no_lights
 from tests.core.scenes import cameras_above, ground_splats
@@ -223,6 +225,25 @@ def test_a_model_tells_the_light_of_photographs_beside_its_own() -> None:
     assert all(len(own) > 30 and np.abs(own[:, 2]).max() < 0.8 for own in seen.places)
     masked = replace(views, weights=tuple(np.zeros(image.shape[:2], np.uint8) for image in views.images))
     assert not lights_from_model(model, masked).lights.is_known.any()
+
+
+def test_a_model_shown_smaller_is_not_taken_for_another_light() -> None:
+    """Fine bright Gaussians over dark ground cover more of a pixel the larger it is: as they are seen, nothing is brighter."""
+    rng = np.random.default_rng(0)
+    ground, fine = ground_splats(400), ground_splats(6_000, seed=1)
+    dark = replace(ground, sh0=np.full_like(ground.sh0, (0.25 - 0.5) / SH_C0))
+    bright = replace(
+        fine,
+        means=fine.means + np.array([0.0, 0.0, 0.05]),
+        log_scales=np.full_like(fine.log_scales, np.log(0.004)),
+        sh0=np.broadcast_to((rng.uniform(0.5, 0.8, (6_000, 1, 1)) - 0.5) / SH_C0, fine.sh0.shape).copy(),
+    )
+    model = concatenate_splats([dark, bright])
+    cameras = cameras_above([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 1.0)], size_wh=(768, 576))
+    images = tuple(np.uint8(255 * np.clip(view.image, 0, 1)) for view in render_views(model, cameras))
+    views = TrainingViews(cameras=cameras, images=images)
+    seen, smaller = (lights_from_model(model, views, seen_px=seen_px).lights.log_gains.mean() for seen_px in (None, COMPARED_PX))
+    assert abs(seen) < 0.03 and smaller < -0.1
 
 
 def test_lights_refuse_shapes_that_disagree() -> None:

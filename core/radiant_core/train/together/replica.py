@@ -23,7 +23,7 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import RenderOutput
 from radiant_core.splats import Splats
-from radiant_core.train.config import TrainConfig, without_mean
+from radiant_core.train.config import TrainConfig
 from radiant_core.train.densify.density import AdaptiveDensity, DensityStatistics
 from radiant_core.train.densify.mcmc import RelocatedDensity
 from radiant_core.train.densify.policies import Mcmc, NoDensification
@@ -38,6 +38,8 @@ from radiant_core.train.trainer import STEPS_BETWEEN_LIMITS, FitOptions, ModelFi
 from radiant_core.train.view_loss import ViewLoss, view_of_step
 from radiant_core.train.views import TrainingViews
 
+OVERLAPPING_MEANS = 0.5
+"""Share of the rate of centres where gradients are a step old (docs/experiments/together.md)."""
 _MAGNITUDES = "magnitudes"
 
 
@@ -76,9 +78,6 @@ class Group:
     def stepping(self) -> TrainConfig:
         """The settings of steps of `views_per_step` views."""
         views, config = self.views_per_step, self.config
-        if self.overlaps:
-            # Gradients a step old want smaller rates, with the mean of the last steps too.
-            config = replace(config, **{**without_mean(config), "average_from": config.average_from})
         factor, density = math.sqrt(views), config.density
         if not isinstance(density, NoDensification):
             density = replace(density, every=_edits_every(density.every, views))
@@ -86,7 +85,7 @@ class Group:
             config,
             num_steps=group_steps(config.num_steps, views),
             density=density,
-            means_lr=factor * config.means_lr,
+            means_lr=factor * config.means_lr * (OVERLAPPING_MEANS if self.overlaps else 1),
             scales_lr=factor * config.scales_lr,
             quats_lr=factor * config.quats_lr,
             opacities_lr=factor * config.opacities_lr,
