@@ -106,12 +106,18 @@ class RunPace:
 
     @property
     def text(self) -> str:
-        """As "elapsed 0:31, left about 2:10 ± 40 %"."""
+        """As "elapsed 0:31, left about 2:10 ± 40 %", or "(may be twice as long or more)"."""
         elapsed, left_s = f"elapsed {clock_text(self.elapsed_s)}", self.left_s
         if self.last is None or left_s is None or left_s <= 0:
             return elapsed
-        off = "" if self.last.off_percent is None else f" ± {self.last.off_percent:.0f} %"
-        return f"{elapsed}, left about {clock_text(max(1.0, left_s))}{off}"
+        return f"{elapsed}, left about {clock_text(max(1.0, left_s))}{_off_text(self.last.off_percent)}"
+
+
+def _off_text(percent: float | None) -> str:
+    """How far off a time may be; from 100 % on a range would reach below zero."""
+    if percent is None:
+        return ""
+    return f" ± {percent:.0f} %" if round(percent) < 100 else " (may be twice as long or more)"
 
 
 def run_text(event: RunLeft) -> str:

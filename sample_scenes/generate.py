@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from radiant_core.errors import BadInput
+from radiant_core.errors import BadInput, way_to_write
 from scenegen.config import SceneConfig
 from scenegen.flight import plan_flight
 from scenegen.known_model import write_known_model
@@ -57,7 +57,7 @@ def generate(config: SceneConfig, out: Path, on_photo: Callable[[], None] = lamb
             for name in names:
                 shutil.move(str(Path(temporary) / name), str(out / name))
     except OSError as error:
-        raise BadInput(f"cannot write the scene to {out}: {error.strerror}; free space or choose another folder with --out") from error
+        raise BadInput(f"cannot write the scene to {out}: {error.strerror}; {way_to_write(error)} with --out") from error
 
 
 def _write_scene(config: SceneConfig, folder: Path, photographer: Photographer, on_photo: Callable[[], None]) -> None:

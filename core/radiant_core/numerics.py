@@ -12,6 +12,14 @@ from radiant_core.errors import BadInput
 FloatArray = NDArray[np.float64]
 
 
+def figure_text(value: float, digits: int = 3) -> str:
+    """A finite number in so many significant digits as people read it: 1,670 and 0.0123, and no
+    1.67e+03."""
+    if abs(value) < 10.0**digits - 0.5:
+        return f"{value:.{digits}g}"
+    return f"{float(f'{value:.{digits - 1}e}'):,.0f}"
+
+
 def check_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: type = np.float64) -> NDArray[Any]:
     """`value` as a contiguous read-only array of `dtype`; None in `shape` is a free axis. Copied
     unless it is all this already and cannot be written to through another array.

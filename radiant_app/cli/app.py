@@ -26,7 +26,7 @@ from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals, stop_repea
 from radiant_app.plain_text import shown_text
 from radiant_app.workers.memory import OUT_OF_MEMORY, is_out_of_memory
 from radiant_core import __version__
-from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
+from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed, way_to_write
 
 app = typer.Typer(
     cls=Commands,
@@ -105,10 +105,10 @@ def main() -> NoReturn:
         _say(f"{OUT_OF_MEMORY} {_how_to_go_on()}".strip())
         sys.exit(StageFailed.exit_code)
     except CannotPrint as error:
-        _say(f"the result could not be printed ({error.strerror}): {_where_it_lies()}.")
+        _say(f"the result could not be printed ({error.strerror}): {_where_it_lies(error)}.")
         sys.exit(BadInput.exit_code)
     except OSError as error:
-        _say(f"{error.strerror or error} ({error.filename}): check the path, the rights and the free space.")
+        _say(f"{error.strerror or error} ({error.filename}): {way_to_write(error, 'free space there', 'check the path and the rights')}.")
         sys.exit(BadInput.exit_code)
     except typer.TyperException as error:
         _say(usage_sentence(error))
@@ -145,11 +145,15 @@ def _how_to_go_on() -> str:
     return "Finished work is kept: repeat the command with --resume." if resumable else ""
 
 
-def _where_it_lies() -> str:
+def _where_it_lies(error: CannotPrint) -> str:
     out_paths = [after for option, after in pairwise(sys.argv) if option == "--out"]
     out_paths += [argument.removeprefix("--out=") for argument in sys.argv if argument.startswith("--out=")]
     existing = [out for out in out_paths if Path(out).exists()]
-    return f"it lies in {existing[0]}" if existing else "send standard output elsewhere, or free space there"
+    return (
+        f"it lies in {existing[0]}"
+        if existing
+        else way_to_write(error, "send standard output elsewhere, or free space there", "send standard output elsewhere")
+    )
 
 
 def _say(message: str) -> None:

@@ -40,6 +40,8 @@ PLANNING_FOLDER = "planning"
 """Of a cloud that plans by counts of its devices: in a run's folder, and the stage's name."""
 SFM_TASK = "task.json"
 """What `radiant sfm` was asked for, beside its work."""
+BEGUN = ("manifest.json", SFM_TASK, "summary.json")
+"""What a run, structure from motion or a batch writes first, by which `--resume` finds it."""
 OPTIONS = {"source": "source", "preset": "--train-preset", "time_s": "--time", "memory_bytes": "--memory", "overrides.settings": "--set"}
 """Setting of `radiant train` and `sfm` → its option, where `config_fields` does not say."""
 UNRECORDED = ("out", "execution", "evaluate")
@@ -227,7 +229,8 @@ def _create_folders(out: Path, *, resumable: bool = True) -> list[Path]:
 def require_empty(out: Path, *, resumable: bool = True) -> None:
     """Raise BadInput if the folder has content beyond what a run killed at its start leaves."""
     if _has_content(out):
-        way_on = ", or go on with what was begun there by --resume" if resumable else ""
+        begun = resumable and any((out / name).is_file() for name in BEGUN)
+        way_on = ", or go on with what was begun there by --resume" if begun else ""
         raise BadInput(f"{out} exists and is not empty: choose another folder{way_on}.")
 
 

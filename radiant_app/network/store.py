@@ -306,7 +306,8 @@ def open_store(folder: Path) -> Iterator[HubStore]:
         finally:
             store.close()
     except sqlite3.Error as error:
-        raise CannotWrite(f"{folder / STORE_NAME} cannot be used ({error}): free space on its disk, then do it again.") from error
+        way = "free space on its disk" if "is full" in str(error) else "check the rights and the disk of its folder"
+        raise CannotWrite(f"{folder / STORE_NAME} cannot be used ({error}): {way}, then do it again.") from error
 
 
 def _hash(token: str) -> str:

@@ -19,6 +19,8 @@ LOW_OVERLAP = 3.0
 UNSHARP_PERCENT = 80.0
 """Of the others' sharpness; sharp sets have 80 to 120 % (docs/experiments/training.md)."""
 MOST_LINES = 3
+ASKED = {"num_steps": "{count} steps", "long_side_px": "pictures of {count} px"}
+"""Sizes of a training that make it poor where somebody asks for less than the default."""
 LOST_SOMEWHERE = ("train.fill_in", "train.drop_gaussians")
 """What cost on some kind of scene, surely or before models were averaged
 (docs/experiments/kinds.md, regimes.md)."""
@@ -36,18 +38,31 @@ def what_to_try(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any
     """
     if verdict_of(metrics).word != "poor":
         return ()
-    lines = list(dict.fromkeys([*_tried(decisions), *_causes(metrics, decisions)]))
+    lines = list(dict.fromkeys([*_reduced(decisions), *_tried(decisions), *_causes(metrics, decisions)]))
     return tuple([*lines, *_untried(decisions), *([] if lines else [NOTHING_SEEN])][:MOST_LINES])
 
 
 NOTHING_SEEN = "the figures do not show why: compare the worst photographs with their renders (`radiant inspect`)"
 
 
+def _reduced(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Few steps and small pictures that were asked for, and what the defaults would be."""
+    rows = {row["topic"]: row for row in decisions if row["topic"] in ASKED and row["forced"] and row.get("otherwise")}
+    asked = {topic: (int(rows[topic]["figure"]), int(rows[topic]["otherwise"].split()[-1])) for topic in ASKED if topic in rows}
+    small = {topic: (given, usual) for topic, (given, usual) in asked.items() if given < usual}
+    if small:
+        given = " and ".join(ASKED[topic].format(count=f"{given:,}") for topic, (given, _) in small.items())
+        usual = " and ".join(
+            ASKED[topic].format(count=f"{'up to ' * (topic == 'num_steps')}{usual:,}") for topic, (_, usual) in small.items()
+        )
+        yield f"`{' '.join(rows[topic]['otherwise'] for topic in small)}`: only {given} were asked for; the default here would be {usual}"
+
+
 def _tried(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The other choice of each trial that lost little, the best first."""
     tried = [row for row in decisions if row.get("otherwise_db") is not None and row["otherwise_db"] > -MOST_TRIED_LOSS_DB]
     for row in sorted(tried, key=lambda row: -row["otherwise_db"]):
-        decided = f"{row['topic']} ({row['choice']}) was decided by short trials"
+        decided = f"short trials decided on {row['topic']} ({row['choice']})"
         yield f"`{row['otherwise']}`: {decided}, where this had {row['otherwise_db']:+.2f} dB"
 
 
@@ -55,7 +70,7 @@ def _untried(decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The other choice where none was tried; first what lost somewhere."""
     for row in sorted(decisions, key=lambda row: not any(name in (row.get("otherwise") or "") for name in LOST_SOMEWHERE)):
         if row.get("otherwise") and row.get("otherwise_db") is None and not row["forced"] and not row.get("changes_nothing"):
-            yield f"`{row['otherwise']}`: {row['topic']} ({row['choice']}) was not tried here"
+            yield f"`{row['otherwise']}` was not tried here; this run's choice for {row['topic']}: {row['choice']}"
 
 
 def _causes(metrics: Mapping[str, Any], decisions: Sequence[Mapping[str, Any]]) -> Iterator[str]:

@@ -90,4 +90,9 @@ def finish(result: dict[str, Any], as_json: bool) -> None:
         return
     for key, value in result.items():
         if not isinstance(value, list | dict):
-            typer.echo(f"{key}: {value}")
+            typer.echo(f"{key}: {_read_text(value) if isinstance(value, float) else value}")
+
+
+def _read_text(value: float) -> str:
+    """A number as people read it: hundredths, or three digits of less than 1."""
+    return f"{value:.2f}" if abs(value) >= 1 else f"{value:.3g}"

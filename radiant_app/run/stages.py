@@ -44,6 +44,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.devices.idle import idle_reasons
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.regions.edge_sites import distant_edges
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.revision.captured import plan_captured, require_same_system
 from radiant_core.plan.system import System
@@ -97,6 +98,7 @@ def plan_stage(
             progress.listen(Decided(decision=decision))
         warnings = (*note, *warnings)
         system, cloud_plan, edge_plans = _make_plan(config, system, (positions, origin, scene), progress)
+    warnings = (*warnings, *distant_edges(system, origin))
     new_plan = cloud_plan if config.plan.file is None else None
     warnings = warn_about_predictions(config, system, edge_plans, progress, warnings, new_plan)
     save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=warnings)

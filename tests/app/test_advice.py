@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,28 @@ import pytest
 from radiant_app.report.advice import MOST_LINES, NOTHING_SEEN, what_to_try
 from radiant_app.report.tables import print_model
 from radiant_core.io.run_store import write_json
+from radiant_core.train.config import train_preset
+from radiant_core.train.needs import Overrides, fit_to_backend
 
 POOR: dict[str, Any] = {"psnr_db": 15.0, "psnr_cc_db": 15.5, "ssim": 0.4, "images": [{}] * 8, "num_photographs": 60}
 
 
 def decided(topic: str, otherwise: str = "", otherwise_db: float | None = None, figure: float = 1.0) -> dict[str, Any]:
     return {"topic": topic, "choice": "on", "otherwise": otherwise, "otherwise_db": otherwise_db, "figure": figure, "forced": False}
+
+
+def test_few_steps_and_small_pictures_that_were_asked_for_come_first() -> None:
+    def lines(**sizes: int) -> tuple[str, ...]:
+        _, decisions = fit_to_backend(train_preset("default"), "native", Overrides(**sizes))
+        return what_to_try({**POOR, "num_photographs": 20}, [decided("points", "--set train.fill_in=false"), *map(asdict, decisions)])
+
+    first, *others = lines(num_steps=300, long_side_px=256)
+    asked = "only 300 steps and pictures of 256 px were asked for"
+    assert first == f"`--steps 1500 --long-side-px 576`: {asked}; the default here would be up to 1,500 steps and pictures of 576 px"
+    assert "20 photographs are few" in others[0] and "fill_in=false` was not tried here" in others[1]
+    assert lines(num_steps=300)[0].startswith("`--steps 1500`: only 300 steps were asked for")
+    # As many as by default, or more, are no cause.
+    assert not any("asked for" in line for line in (*lines(num_steps=1500, long_side_px=800), *lines()))
 
 
 def test_a_good_scene_is_told_nothing() -> None:
@@ -58,7 +75,7 @@ def test_where_nothing_is_seen_what_was_not_tried_is_named_and_a_manifest_of_bef
     before = {"topic": "matching", "choice": "all pairs", "figure": 1.0, "forced": False}
     assert what_to_try(POOR, [before]) == (NOTHING_SEEN,)
     lines = what_to_try(POOR, [before, decided("points", "--set train.fill_in=false")])
-    assert lines == ("`--set train.fill_in=false`: points (on) was not tried here", NOTHING_SEEN)
+    assert lines == ("`--set train.fill_in=false` was not tried here; this run's choice for points: on", NOTHING_SEEN)
 
 
 def test_beside_causes_stands_what_was_not_tried_first_what_lost_somewhere() -> None:
@@ -74,4 +91,4 @@ def test_it_follows_the_word_on_the_terminal(tmp_path: Path, capsys: pytest.Capt
     print_model(tmp_path / "scene.ply", {**POOR, "num_gaussians": 10})
     model, quality, tried = capsys.readouterr().out.splitlines()
     assert model.startswith("model: ") and quality.startswith("quality: poor: 15.00 dB")
-    assert tried == "try: `--set train.fill_in=false`: points (on) was decided by short trials, where this had -0.10 dB"
+    assert tried == "try: `--set train.fill_in=false`: short trials decided on points (on), where this had -0.10 dB"

@@ -13,7 +13,7 @@ import pytest
 import tifffile
 from rich.console import Console
 
-from radiant_app.commands.plan.next_flight import NextFlightRequest, plan_next_flight
+from radiant_app.commands.plan.next_flight import NextFlightRequest, limit_of, plan_next_flight
 from radiant_app.commands.plan.tables import next_flight_lines
 from radiant_app.events import Decided, Event, Warned
 from radiant_app.report.known_section import BEGIN, END, add_known_section
@@ -245,3 +245,13 @@ def test_the_map_alone_has_no_flight_and_bad_requests_leave_nothing(run: Path) -
         with pytest.raises(BadInput, match=said):
             plan_next_flight(request, Hearing())
         assert not nothing.exists()
+
+
+def test_what_ended_the_choice_is_named_only_if_it_was_asked_for() -> None:
+    def limit(photographs: int | None, batteries: int | None, count: int, num_adding: int) -> str:
+        return limit_of(NextFlightRequest(run=Path(), out=Path(), photographs=photographs, batteries=batteries), count, num_adding)
+
+    assert limit(9, None, 9, 9) == limit(9, 2, 9, 9) == "photographs"
+    assert limit(9, 2, 5, 9) == limit(None, 2, 5, 9) == "batteries"
+    # Fewer views than allowed add anything.
+    assert limit(9, None, 5, 5) == limit(9, 2, 5, 5) == limit(None, 2, 5, 5) == ""

@@ -15,7 +15,7 @@ import pytest
 from rich.console import Console
 
 from radiant_app.commands.plan.content import ContentRequest
-from radiant_app.commands.plan.flight import DroneText, HeightOptions, flight_request
+from radiant_app.commands.plan.flight import DroneText, FlightRequest, HeightOptions, flight_request
 from radiant_app.commands.plan.plan import PlanRequest, plan
 from radiant_app.commands.plan.tables import method_table
 from radiant_app.commands.run.demo import sample_scenes_folder
@@ -114,6 +114,17 @@ def test_a_plan_says_whether_its_run_trains_together_with_both_times(tmp_path: P
     result = make_plan(grid_csv(tmp_path, 10, 6), tmp_path / "plan.json", tmp_path / "system.toml")
     whole = result["training"][result["training"].index("all edges: ") :]
     assert whole.startswith(f"all edges: {chosen}") and " s together, " in whole and " s joined)" in whole
+
+
+def test_photographs_that_are_to_be_flown_again_are_all_in_the_lists(tmp_path: Path) -> None:
+    flight = FlightRequest(formats=("kml",), height_m=60.0)
+    request = PlanRequest(source=HAMLET, out=tmp_path / "plan.json", system=None, method="exact", seed=0, flight=flight)
+    result = plan(request, ProgressDisplay(Console(file=io.StringIO())))
+    lists = (tmp_path / "plan_waypoints").glob("*.csv")
+    names = sorted(path.name for path in HAMLET.iterdir())
+    listed = sorted(line.rsplit(",", 1)[1] for path in lists for line in path.read_text().splitlines()[1:])
+    assert result["planned"] == len(names) and listed == names
+    assert "held out" not in result["warnings"]
 
 
 def test_photographs_are_planned_by_their_gps_without_every_8th(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from radiant_app.events import (
     Decided,
     Event,
     Outlined,
+    RunLeft,
     StageDone,
     StageProgress,
     StageSkipped,
@@ -32,9 +33,9 @@ from radiant_app.events import (
     encode,
 )
 from radiant_app.files.event_file import EventFile, read_progress
-from radiant_app.pace import Pace, clock_text
+from radiant_app.pace import Pace, RunPace, clock_text
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.report.tables import print_figures
+from radiant_app.report.tables import finish, print_figures
 from radiant_app.report.verdict import verdict_of
 from radiant_core.decisions import Decision
 from radiant_core.io.run_store import write_json
@@ -145,6 +146,18 @@ def test_numbers_that_say_nothing_give_no_time(counts: tuple[float, float]) -> N
 
 
 def test_a_clock_is_read_as_one() -> None:
+    def told(off_percent: float | None) -> str:
+        pace = RunPace(clock=lambda: 0.0)
+        pace.update(RunLeft(phase="poses", number=1, num_phases=6, elapsed_s=3.0, left_s=40.0, off_percent=off_percent))
+        return pace.text.removeprefix("elapsed 0:03, left about 0:40")
+
+    # No range below zero.
+    assert [told(percent) for percent in (None, 45.0, 99.4, 100.0, 115.0)] == [
+        "",
+        " ± 45 %",
+        " ± 99 %",
+        *[" (may be twice as long or more)"] * 2,
+    ]
     assert [clock_text(seconds) for seconds in (0.0, 3.4, 59.6, 760.0, 3723.0)] == ["0:00", "0:03", "1:00", "12:40", "1:02:03"]
 
 
@@ -262,8 +275,14 @@ def test_a_run_says_how_many_of_its_stages_are_finished(tmp_path: Path) -> None:
     assert seen.expected == ("sfm", "devices/a", "cloud") and seen.stages[-1].note == "matching, step 3 of 6, loss 0.5"
     pytest.importorskip("PySide6")
     from radiant_viewer.runs.progress_summary import progress_summary
+    from radiant_viewer.runs.run_feeds import WholeRunState
 
     assert "2 of 3 stages finished" in progress_summary(seen)
+    whole = WholeRunState(phase="training", number=2, num_phases=6, elapsed_s=60.0, left_s=300.0, off_percent=45.0)
+    assert progress_summary(replace(seen, is_running=True, status="running", whole=whole)).endswith("about 5 min ± 45 % left")
+    assert progress_summary(replace(seen, is_running=True, status="running", whole=replace(whole, off_percent=115.0))).endswith(
+        "about 5 min left (may be twice as long or more)"
+    )
     with EventFile(tmp_path, Told().display) as tell:
         for event in (*events, StageDone(stage="cloud", seconds=1.0), StageStarted(stage="report"), StageDone(stage="report", seconds=1.0)):
             tell(event)
@@ -361,3 +380,24 @@ def test_the_first_sign_of_life_comes_before_heavy_libraries() -> None:
     command = [sys.executable, "-m", "radiant_app", "run", "no/such/folder", "--out", "/nowhere/run"]
     log = subprocess.run(command, capture_output=True, text=True, check=False)
     assert log.returncode == 2 and len(log.stderr.splitlines()) == 1 and log.stdout == ""
+
+
+def test_printed_figures_are_rounded_and_json_keeps_all_digits(capsys: pytest.CaptureFixture[str]) -> None:
+    result = {
+        "makespan_s": 63.32781686763339,
+        "area_m2": 1234567.891,
+        "ssim": 0.68094732,
+        "planned": 12,
+        "rows": [1.5],
+        "status": "optimal",
+    }
+    finish(result, as_json=False)
+    assert capsys.readouterr().out.splitlines() == [
+        "makespan_s: 63.33",
+        "area_m2: 1234567.89",
+        "ssim: 0.681",
+        "planned: 12",
+        "status: optimal",
+    ]
+    finish(result, as_json=True)
+    assert json.loads(capsys.readouterr().out) == result

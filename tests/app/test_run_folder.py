@@ -80,6 +80,15 @@ def test_a_run_that_finds_work_after_the_lock_leaves_it(tmp_path: Path, monkeypa
     assert (out / "scene.ply").read_text() == "done"
 
 
+@pytest.mark.parametrize("name", ["manifest.json", "task.json", "summary.json", "photo.jpg", "scene.ply"])
+def test_resume_is_named_only_where_something_was_begun(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("{}")
+    with pytest.raises(BadInput) as told, create_folder(tmp_path, resumable=True):
+        pytest.fail("it was let in")
+    begun = ", or go on with what was begun there by --resume" if name.endswith(".json") else ""
+    assert str(told.value) == f"{tmp_path} exists and is not empty: choose another folder{begun}."
+
+
 def test_after_bad_input_the_folders_made_are_gone_and_an_empty_one_stays(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     for out, left in ((tmp_path / "a" / "b", ["mine"]), (tmp_path / "mine", ["mine"])):

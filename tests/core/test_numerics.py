@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import check_array, rotmats_from_quats
+from radiant_core.numerics import check_array, figure_text, rotmats_from_quats
 
 
 def test_a_checked_array_is_a_read_only_copy() -> None:
@@ -81,3 +81,9 @@ def test_the_length_and_sign_of_a_quaternion_do_not_matter(length: float) -> Non
 def test_zero_quaternions_and_empty_sets() -> None:
     assert np.array_equal(rotmats_from_quats(np.zeros((2, 4))), np.tile(np.eye(3), (2, 1, 1)))
     assert rotmats_from_quats(np.zeros((0, 4))).shape == (0, 3, 3)
+
+
+def test_figures_have_no_powers_of_ten_where_people_read_them() -> None:
+    values = (4667.4, 1671.0, 999.6, 999.4, 49.52, 1.0, 0.01234, 0.0)
+    assert [figure_text(value) for value in values] == ["4,670", "1,670", "1,000", "999", "49.5", "1", "0.0123", "0"]
+    assert [figure_text(value, 2) for value in (1234.0, 99.6, 1.25)] == ["1,200", "100", "1.2"]

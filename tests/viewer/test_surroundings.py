@@ -14,6 +14,7 @@ import pytest
 from radiant_core.geometry.cleaning_file import cleaning_path
 from radiant_viewer.open3d_window.content import load_content
 from radiant_viewer.pictures.splat_picture import fit_camera, render_rgbd
+from radiant_viewer.runs import run_pictures
 from radiant_viewer.runs.run_layers import hidden_at_first, run_layers
 from radiant_viewer.runs.run_pictures import screenshot
 from radiant_viewer.runs.run_view import load_run_view
@@ -153,6 +154,19 @@ def test_a_picture_of_a_model_alone_has_its_roofs_and_pits_and_not_its_sky() -> 
     around = shown_model(model, model_box(model)).around
     assert around[parts["sky"]].all() and around[parts["roofs"]].mean() < 0.05 and around[parts["pits"]].mean() < 0.05
     assert around[3800:].mean() < 0.05
+
+
+def test_both_captions_count_all_gaussians_and_name_the_hidden(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(run_pictures, "draw_splat_view", lambda *_: None)
+    monkeypatch.setattr(run_pictures, "compose_page", lambda drawing, layers, size_wh, text: told.append(text.subtitle))
+    view = load_run_view(run)
+    assert view.splats is not None
+    run_pictures.splats_picture(view.scene, view.cloud_plan, view.splats)
+    run_pictures.model_picture(view.splats)
+    for caption in told:
+        assert caption.startswith(f"{TOWN_GAUSSIANS + NUM_HAZE:,} Gaussians, ") and caption.endswith(" around the scene are hidden")
+    assert len(told) == 2
 
 
 def test_page_headless_pictures_and_open3d_leave_it_out_too(run: Path) -> None:

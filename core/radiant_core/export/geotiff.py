@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core import __version__
-from radiant_core.errors import BadInput, CannotWrite
+from radiant_core.errors import BadInput, CannotWrite, way_to_write
 from radiant_core.export.cog import write_cog
 from radiant_core.numerics import FloatArray
 
@@ -102,7 +102,7 @@ def save_tiles(path: Path, raster: TiledRaster, tiles: Iterable[NDArray[Any]]) -
                 raster = _save_half(levels[-2], levels[-1], raster, big=big)
             write_cog(path, levels, big=big)
     except OSError as error:
-        raise CannotWrite(f"cannot write {path}: {error.strerror or error}: free space or choose another output folder.") from error
+        raise CannotWrite(f"cannot write {path}: {error.strerror or error}: {way_to_write(error)}.") from error
 
 
 def _save_level(path: Path, raster: TiledRaster, tiles: Iterable[NDArray[Any]], *, big: bool) -> None:

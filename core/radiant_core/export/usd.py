@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.errors import BadInput, CannotWrite
-from radiant_core.io.run_store import atomic_path
+from radiant_core.errors import BadInput, CannotWrite, way_to_write
+from radiant_core.io.run_store import atomic_path, require_room
 from radiant_core.numerics import FloatArray, rotmats_from_quats, unit_quats
 from radiant_core.splats import Splats
 
@@ -49,11 +49,12 @@ def save_usd(path: Path, splats: Splats, meters_per_unit: float = 1.0, about: Se
             if path.suffix.lower() == ".usdz":
                 package = Path(folder) / "package.usdz"
                 if not UsdUtils.CreateNewUsdzPackage(str(layer), str(package)):
-                    raise CannotWrite(f"cannot write {path}: the package of its layer failed: free space or write .usdc.")
+                    require_room(path.parent)
+                    raise CannotWrite(f"cannot write {path}: the package of its layer failed: write .usdc instead.")
                 layer = package
             layer.replace(temporary)
     except (OSError, Tf.ErrorException) as error:
-        raise CannotWrite(f"cannot write {path}: {error}: free space or choose another output folder.") from error
+        raise CannotWrite(f"cannot write {path}: {error}: {way_to_write(error)}.") from error
 
 
 def ellipsoid_extent(splats: Splats) -> NDArray[np.float32]:

@@ -22,7 +22,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from radiant_core.errors import BadInput
+from radiant_core.errors import BadInput, way_to_write
 from radiant_core.geometry.open3d_ops import MAX_BLOCKS, DepthView, Mesh, count_blocks, fused_mesh
 
 BYTES_PER_BLOCK = 140_000
@@ -76,7 +76,8 @@ def fuse_apart(
             for index, view in enumerate(views):
                 _save_view(folder / f"{index:06d}.safetensors", view)
         except OSError as error:
-            raise BadInput(f"the depth views cannot be written to {folder}: {error.strerror or error}: free space there.") from error
+            way = way_to_write(error, "free space there")
+            raise BadInput(f"the depth views cannot be written to {folder}: {error.strerror or error}: {way}.") from error
         (folder / _SETTINGS).write_text(json.dumps(asdict(settings)))
         answer = _answer(folder, settings, report)
         if "fitting_voxel" in answer:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save, save_file
 
-from radiant_core.errors import BadInput, CannotWrite, StoreDamaged
+from radiant_core.errors import BadInput, CannotWrite, StoreDamaged, way_to_write
 from radiant_core.io.array_layout import require_layout
 from radiant_core.io.run_store import atomic_path, parse_json, write_atomic
 
@@ -36,7 +36,7 @@ def stream_arrays(path: Path, schema: str, arrays: Mapping[str, NDArray], about:
             save_file(dict(arrays), temporary, _metadata(schema, about))
         except SafetensorError as error:
             # It wraps what the system said; its own complaints about arrays come as other types.
-            raise CannotWrite(f"cannot write {path}: {error}: free space or choose another output folder.") from error
+            raise CannotWrite(f"cannot write {path}: {error}: {way_to_write(error)}.") from error
 
 
 def _metadata(schema: str, about: Mapping[str, Any]) -> dict[str, str]:

@@ -24,7 +24,7 @@ from typing import IO, Any, Self
 
 import numpy as np
 
-from radiant_core.errors import BadInput, CannotWrite, RadiantError, StoreDamaged
+from radiant_core.errors import BadInput, CannotWrite, RadiantError, StoreDamaged, way_to_write
 
 SEAL_NAME = "done.json"
 SEAL_VERSION = 1
@@ -67,7 +67,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         temporary.replace(path)
         force_to_disk(path.parent)
     except OSError as error:
-        raise CannotWrite(f"cannot write {path}: {error.strerror or error}: free space or choose another output folder.") from error
+        raise CannotWrite(f"cannot write {path}: {error.strerror or error}: {way_to_write(error)}.") from error
     finally:
         with suppress(OSError):
             temporary.unlink()
@@ -193,7 +193,7 @@ def seal(folder: Path, key: str, names: Sequence[str]) -> None:
         for name in names:
             force_to_disk(folder / name)
     except OSError as error:
-        raise CannotWrite(f"cannot seal {folder}: {error.strerror or error}: free space or choose another output folder.") from error
+        raise CannotWrite(f"cannot seal {folder}: {error.strerror or error}: {way_to_write(error)}.") from error
     write_json(folder / SEAL_NAME, {"version": SEAL_VERSION, "key": key, "files": files})
 
 

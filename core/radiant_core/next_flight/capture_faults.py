@@ -40,12 +40,14 @@ class CaptureFault:
     name: str
     figure: float
     limit: float
+    unit: str
+    """Of both; of a share or a ratio too, in words."""
     advice: str
 
     @property
     def sentence(self) -> str:
         """As the report has it."""
-        return f"{self.name} ({self.figure:.3g}, limit {self.limit:g}): {self.advice}."
+        return f"{self.name} ({self.figure:.3g} {self.unit}, limit {self.limit:g}): {self.advice}."
 
 
 def capture_faults(scene: SfmScene, depth: float, images: Sequence[NDArray[np.uint8]] | None = None) -> tuple[CaptureFault, ...]:
@@ -65,11 +67,11 @@ def _of_places(scene: SfmScene, depth: float) -> list[CaptureFault]:
     baseline = float(2 * spread[0] / depth) if depth > 0 else np.inf
     if baseline < LEAST_BASELINE:
         advice = "photographs taken by turning on the spot have no depth; move between them by a tenth of the distance or more"
-        return [CaptureFault(name="only rotation", figure=baseline, limit=LEAST_BASELINE, advice=advice)]
+        return [CaptureFault(name="only rotation", figure=baseline, limit=LEAST_BASELINE, unit="of the usual depth", advice=advice)]
     across = float(spread[1] / spread[0]) if len(spread) > 1 else 0.0
     if across < LEAST_ACROSS and len(centers) > 2:
         advice = "fly a second line beside it, or one across it"
-        return [CaptureFault(name="one line", figure=across, limit=LEAST_ACROSS, advice=advice)]
+        return [CaptureFault(name="one line", figure=across, limit=LEAST_ACROSS, unit="of its length across it", advice=advice)]
     return []
 
 
@@ -79,7 +81,7 @@ def _of_looks(scene: SfmScene) -> list[CaptureFault]:
     if widest_deg > DOWN_DEG:
         return []
     advice = "walls are not seen; add oblique views of 30 to 50 degrees from several sides"
-    return [CaptureFault(name="only down", figure=widest_deg, limit=DOWN_DEG, advice=advice)]
+    return [CaptureFault(name="only down", figure=widest_deg, limit=DOWN_DEG, unit="degrees", advice=advice)]
 
 
 def _of_overlap(scene: SfmScene) -> list[CaptureFault]:
@@ -93,7 +95,7 @@ def _of_overlap(scene: SfmScene) -> list[CaptureFault]:
     # The most that photographs of different groups share: what the limit was missed by.
     apart = group[:, None] != group[None]
     advice = f"groups of {', '.join(map(str, sizes.tolist()))} photographs hang together by too little; fly a line that both see"
-    return [CaptureFault(name="no overlap", figure=float(shared[apart].max()), limit=LEAST_SHARED, advice=advice)]
+    return [CaptureFault(name="no overlap", figure=float(shared[apart].max()), limit=LEAST_SHARED, unit="shared points", advice=advice)]
 
 
 def _shared_points(scene: SfmScene) -> NDArray[np.int64] | None:
@@ -117,7 +119,7 @@ def _of_exposure(scene: SfmScene, images: Sequence[NDArray[np.uint8]]) -> list[C
     if share <= HUNTING_SHARE:
         return []
     advice = "lock exposure and white balance before the next flight"
-    return [CaptureFault(name="exposure hunts", figure=share, limit=HUNTING_SHARE, advice=advice)]
+    return [CaptureFault(name="exposure hunts", figure=share, limit=HUNTING_SHARE, unit="of all photographs", advice=advice)]
 
 
 def _brightness_steps(scene: SfmScene, images: Sequence[NDArray[np.uint8]]) -> FloatArray:

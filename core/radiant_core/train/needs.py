@@ -51,6 +51,7 @@ _LIMITS = {
     "reference": Overrides(long_side_px=240, num_steps=120, max_num_splats=8_000),
 }
 _UNITS = {"long_side_px": "px", "num_steps": "steps", "max_num_splats": "Gaussians"}
+_OPTIONS = {"long_side_px": "--long-side-px", "num_steps": "--steps", "max_num_splats": "--max-splats"}
 
 
 def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> tuple[TrainConfig, tuple[Decision, ...]]:
@@ -73,15 +74,18 @@ def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> t
             reason = f"the preset's {wanted:,} {unit} would take hours on a CPU with the {backend} renderer"
         else:
             continue
+        # In place of a number that was asked for, what this backend would have had.
+        usual = wanted if limit is None else min(wanted, limit)
         config = replace(config, **{name: chosen})
         decisions.append(
             Decision(
                 stage="train",
                 topic=name,
-                choice=f"{chosen:,} {unit} instead of {wanted:,}",
+                choice=f"{chosen:,} {unit} instead of {wanted if requested is None else usual:,}",
                 figure=float(chosen),
                 unit=unit,
                 reason=reason,
+                otherwise="" if requested is None else f"{_OPTIONS[name]} {usual}",
                 forced=requested is not None,
             )
         )

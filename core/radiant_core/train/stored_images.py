@@ -21,7 +21,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.errors import CannotWrite
+from radiant_core.errors import CannotWrite, way_to_write
 
 Window = tuple[int, int, int, int]
 """Rows from, to, columns from, to of an image."""
@@ -84,7 +84,7 @@ def store_views(views: Iterable[tuple[NDArray[np.uint8], NDArray[np.uint8]]], fo
     """Images (H,W,3) and weights (H,W), uint8, of V views in a file of `folder`, one view at a time
     in memory; all of them in memory without a folder.
 
-    Raises CannotWrite where the folder has no room.
+    Raises CannotWrite where the folder has no room, or cannot be written.
     """
     if folder is None:
         pairs = list(views)
@@ -99,8 +99,8 @@ def store_views(views: Iterable[tuple[NDArray[np.uint8], NDArray[np.uint8]]], fo
                 file.bytes.write(np.ascontiguousarray(pixels).data)
         file.bytes.flush()
     except OSError as error:
-        reason = os.strerror(error.errno or 0)
-        raise CannotWrite(f"{folder} cannot hold the pictures that models are joined by ({reason}): free space there.") from error
+        reason, way = os.strerror(error.errno or 0), way_to_write(error, "free space there")
+        raise CannotWrite(f"{folder} cannot hold the pictures that models are joined by ({reason}): {way}.") from error
     return StoredImages(places=tuple(places[0])), StoredImages(places=tuple(places[1]))
 
 

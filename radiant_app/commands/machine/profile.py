@@ -187,12 +187,12 @@ def _epochs(node: Path) -> int | None:
 
 def library_table() -> str:
     """The library's machines, aligned, each with the source of its figures."""
-    lines = [f"{'profile':<14} {'kind':<9} {'100 photographs':>15}  training and source"]
+    lines = [f"{'profile':<14} {'kind':<9} {'100 photographs':>15}  {'in this training':<68}  machine"]
     for name, path in library_profiles().items():
         listed = load_profile(path, name)
         total_s = float(listed.init_s.curve(100) + listed.train_s.curve(100))
-        lines += [f"{name:<14} {listed.kind:<9} {total_s:>13,.0f} s  {listed.machine}; {listed.key}", f"{'':<42}{listed.source}"]
-    return "\n".join(lines)
+        lines += [f"{name:<14} {listed.kind:<9} {total_s:>13,.0f} s  {listed.key!s:<68}  {listed.machine}", f"{'':<42}{listed.source}"]
+    return "\n".join([*lines, "Times of different trainings do not compare; a plan scales each to its own training."])
 
 
 def check_table(rows: Sequence[dict[str, Any]]) -> str:

@@ -275,23 +275,32 @@ def _tell(
     request: NextFlightRequest, in_time: InTime, candidates: Candidates, flights: Sequence[_Flight], display: ProgressDisplay
 ) -> None:
     count = sum(len(flight.views) for flight in flights)
-    limit = "batteries" if request.photographs is None or count < request.photographs else "photographs"
+    limit = limit_of(request, count, in_time.num_views)
     if in_time.left_out is not None and count == in_time.num_views:
         reason = in_time.left_out
         display(Decided(decision=Decision(
             stage=STAGE, topic="deadline", choice=in_time.choice, figure=request.deadline_s, unit="s", reason=reason, otherwise="--deadline"
         )))  # fmt: skip
         limit = "deadline"
+    end = "where no other view adds anything" if request.photographs else "where no other view adds anything or devices hold no more"
     decision = Decision(
         stage=STAGE,
         topic="next flight",
         choice=f"{count} of {len(candidates)} safe views",
         figure=float(sum(view.gain for flight in flights for view in flight.views)),
         unit="m² of surface, from all sides",
-        reason=f"the greedy choice by gain stops at the {limit} asked for",
-        otherwise=f"--{limit}",
+        reason=f"the greedy choice by gain stops {f'at the {limit} asked for' if limit else end}",
+        otherwise=f"--{limit}" if limit else "",
     )
     display(Decided(decision=decision))
+
+
+def limit_of(request: NextFlightRequest, count: int, num_chosen: int) -> str:
+    """The option that ended the choice after `count` of the `num_chosen` views that add something;
+    empty where none did."""
+    if request.batteries is not None and count < num_chosen:
+        return "batteries"
+    return "photographs" if request.photographs is not None and count >= request.photographs else ""
 
 
 def _warn_of_unknown(air: Air, candidates: Candidates, flights: Sequence[_Flight], unit: str, display: ProgressDisplay) -> None:

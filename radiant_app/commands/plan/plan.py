@@ -75,6 +75,7 @@ from radiant_core.plan.flight.whole_lines import keep_lines
 from radiant_core.plan.heights import said_heights
 from radiant_core.plan.looks import camera_looks
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.regions.edge_sites import distant_edges
 from radiant_core.plan.regions.paper_config import PaperConfig
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
@@ -179,7 +180,7 @@ def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
         report(0, len(PHASES), PHASES[0])
         if _is_scene(request.source):
             return _plan_scene(request, system, report)
-        source_waypoints = _positions_of(request.source, report)
+        source_waypoints = _positions_of(request.source, report, flies=not request.flight.is_plain)
         return _plan_waypoints(request, system, source_waypoints, report)
 
 
@@ -297,19 +298,22 @@ def _write(
     return flown
 
 
-def _positions_of(source: Path, report: Report) -> FoundWaypoints:
-    """The waypoints of a file, or the positions of a folder's photographs but every 8th by name."""
+def _positions_of(source: Path, report: Report, *, flies: bool) -> FoundWaypoints:
+    """The waypoints of a file, or the positions of a folder's photographs; where nothing `flies`
+    them again, but every 8th by name."""
     if not source.exists():
         raise BadInput(f"{source} does not exist: give a scene folder, a waypoint file (.csv, .geojson, .kml) or a folder of photographs.")
     if not source.is_dir():
         return read_waypoints(source)
     folder = source / "images" if (source / "images").is_dir() else source
     exif = exif_waypoints(folder, lambda num_done, total: report(num_done / total, len(PHASES), PHASES[0]))
+    if flies:  # lines without gaps; a run holds out photographs of the new flight
+        return exif
     names = (*exif.waypoints.names, *exif.without_gps)
     held_out = held_out_mask(names)
     if held_out[: len(exif.waypoints)].all():
         raise BadInput(
-            f"all {len(exif.waypoints)} photographs with GPS in {folder} are held out for scoring (every 8th by name): give more of them."
+            f"all {len(exif.waypoints)} photographs with GPS in {folder} are held out for scoring (every 8th by name): give more."
         )
     waypoints = exif.waypoints.select(np.flatnonzero(~held_out[: len(exif.waypoints)]))
     note = f"{int(held_out.sum())} of {len(names)} photographs, every 8th by name, are held out for scoring and not planned."
@@ -344,6 +348,7 @@ def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report
     cut = _cut(cameras, request, start, place)
     positions, looks = (cameras.positions, None) if cut is None else (cut.places_of(cameras.positions), cut.looks)
     system = place(positions)
+    warnings = (*warnings, *distant_edges(system, cameras.origin))
     if request.raster_cell_m is not None:
         if request.slack is not None or constraints is not None:
             raise BadInput("--slack and --constraints need positions and --raster-cell-m plans without them: choose one.")
@@ -432,8 +437,8 @@ def _raster_note(cell_m: float, plan: CloudPlan) -> str:
 
 
 def _summary(out: Path, draft: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
-    cloud = draft.cloud
-    warnings = (*warnings, *draft.warnings)
+    cloud, warnings = draft.cloud, (*warnings, *draft.warnings)
+    training = " ".join(f"{one.choice} ({one.figure:.1f} {one.unit}): {one.reason}." for one in draft.training)
     idle = idle_reasons(cloud, draft.edges, draft.system)
     later = [plan.edge_id for plan in draft.edges if not plan.dealt]
     if later:
@@ -453,11 +458,7 @@ def _summary(out: Path, draft: _Plan, warnings: tuple[str, ...]) -> dict[str, An
         "method": cloud.method,
         "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),
         **({} if draft.cut is None else {"cut": f"{draft.cut.choice}: {draft.cut.reason}"}),
-        **(
-            {"training": " ".join(f"{one.choice} ({one.figure:.1f} {one.unit}): {one.reason}." for one in draft.training)}
-            if draft.training
-            else {}
-        ),
+        **({"training": training} if training else {}),
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
         "picture": str(sibling(out, MAP)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,7 +69,10 @@ def points_of_survey(survey: Survey, display: ProgressDisplay, long_side_px: int
         parts = [_kept_part(survey, part.points, part.colors) for part in parts_found if len(part)]
     parts = [part for part in parts if len(part[0])]
     if not parts:
-        raise BadInput("no three views agree on any point of the surface: train the model further, or add photographs that overlap.")
+        raise BadInput(
+            f"no three views agree on any point of the surface: {'' if from_photographs else 'train the model further, or '}"
+            "add photographs that overlap."
+        )
     widest = float(np.median(scene.cameras.sizes_wh.max(axis=1)))
     return SurfacePoints(
         points=np.concatenate([points for points, _ in parts]),
@@ -89,7 +93,8 @@ def surface_of_survey(survey: Survey, points: SurfacePoints, cell: float, displa
     if share < MIN_KNOWN:
         raise BadInput(
             f"three views agree on a height in only {100 * share:.2g} % of the cells of the ground that was seen, so nothing is written: "
-            "choose a coarser --resolution, or train the model further."
+            f"they are {cell:.3g} {survey.run.unit} wide, choose a coarser --resolution such as {_coarser(cell):g}, "
+            f"{'or add photographs that overlap' if points.from_photographs else 'or train the model further'}."
         )
     if share < USUAL_KNOWN:
         text = f"three views agree on a height in {100 * share:.2g} % of the cells; what was filled in between is marked in band 3."
@@ -97,6 +102,12 @@ def surface_of_survey(survey: Survey, points: SurfacePoints, cell: float, displa
     if not survey.run.scene.frame.altitude_known:
         display(Warned(stage="surface", message=f"GPS has no altitude: heights count from {LEVEL}."))
     return filled(measured, inside)
+
+
+def _coarser(cell: float) -> float:
+    """About twice a width or more, of one digit: what a person would type."""
+    digit = 10.0 ** math.floor(math.log10(2 * cell))
+    return math.ceil(2 * cell / digit - 1e-9) * digit
 
 
 def _warn_of_steps(survey: Survey, display: ProgressDisplay) -> None:

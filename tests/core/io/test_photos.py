@@ -307,6 +307,7 @@ def test_a_jpeg_promises_no_more_than_a_bit_for_64_pixels(tmp_path: Path) -> Non
         (short_png(5, 5)[:-1], "is truncated (its end is missing)"),
         (short_png(5, 5)[:-5], "is truncated (its end is missing)"),
         (short_png(5, 5), "cannot be decoded"),
+        (b"", "is an empty file (0 bytes)"),
         (b"text", "is not a JPEG, PNG or TIFF image"),
     ],
 )

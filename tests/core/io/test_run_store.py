@@ -58,6 +58,19 @@ def test_a_full_disk_leaves_the_old_file_and_no_temporary(tmp_path: Path, monkey
     assert names_in(tmp_path) == {"a.bin"}
 
 
+@pytest.mark.parametrize("code", [errno.EROFS, errno.EACCES, errno.ENOSPC, errno.EDQUOT], ids=lambda code: errno.errorcode[code])
+def test_free_space_is_asked_for_only_where_there_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    with pytest.raises(BadInput) as told:
+        write_atomic(tmp_path / "a.bin", b"new")
+    is_full = code in (errno.ENOSPC, errno.EDQUOT)
+    way = "free space or choose another output folder" if is_full else "choose another folder that may be written"
+    assert str(told.value) == f"cannot write {tmp_path / 'a.bin'}: {os.strerror(code)}: {way}."
+
+
 def test_a_file_size_limit_of_the_system_leaves_the_old_file(tmp_path: Path) -> None:
     write_atomic(tmp_path / "a.bin", b"old")
     code = (

@@ -66,7 +66,8 @@ def test_one_line_is_named_with_its_figure() -> None:
 
 def test_looking_down_alone_is_named() -> None:
     places, _ = lawn()
-    assert names(scene_of(places, places * [1, 1, 0])) == ["only down"]
+    (fault,) = capture_faults(scene_of(places, places * [1, 1, 0]), DEPTH_M)
+    assert fault.name == "only down" and fault.sentence.startswith(f"only down ({fault.figure:.3g} degrees, limit 12): ")
 
 
 def test_two_flights_without_overlap_are_named() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.regions.edge_sites import place_edges, separate_sites
+from radiant_core.plan.regions.edge_sites import distant_edges, place_edges, separate_sites
 from radiant_core.plan.system import System
 from tests.seeds import for_seeds
 
@@ -21,6 +21,19 @@ ORIGIN = (47.37, 8.54, 400.0)
 def unplaced(num_edges: int) -> System:
     system = linear_system(np.zeros((num_edges, 2)), np.ones(num_edges))
     return System(edges=tuple(replace(edge, position=None) for edge in system.edges))
+
+
+def test_an_edge_far_from_the_photographs_is_named_with_its_distance_and_key() -> None:
+    places = {"here": (47.37, 8.54), "near": (48.26, 8.54), "far": (48.28, 8.54), "antipodes": (-47.37, -171.46)}
+    system = unplaced(4)
+    edges = [replace(edge, id=name, lat_lon_deg=place) for edge, (name, place) in zip(system.edges, places.items(), strict=True)]
+    placed = place_edges(System(edges=tuple(edges[:3])), np.zeros((3, 2)), ORIGIN, seed=0)
+    # 0.91 degrees of latitude are 101 km, 0.89 are 99 km.
+    (told,) = distant_edges(placed, ORIGIN)
+    assert told.startswith("Edge 'far' stands 101 km from the photographs: change lat_lon_deg")
+    # Half of the globe's circumference, which a plane on the ground would show as none.
+    assert "stands 20,015 km" in distant_edges(System(edges=tuple(edges[3:])), ORIGIN)[0]
+    assert distant_edges(placed, None) == distant_edges(system, ORIGIN) == ()
 
 
 def sites_of(system: System) -> FloatArray:

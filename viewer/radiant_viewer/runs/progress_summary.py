@@ -23,10 +23,16 @@ def progress_summary(progress: RunProgress) -> str:
     if progress.is_running and whole is not None:
         parts[1] = f"{whole.phase}, {whole.number} of {whole.num_phases}"
         if whole.left_s is not None:
-            off = "" if whole.off_percent is None else f" ± {whole.off_percent:.0f} %"
-            parts.append(f"about {duration_text(max(1, round(whole.left_s)))}{off} left")
+            parts.append(f"about {duration_text(max(1, round(whole.left_s)))}{_off_text(whole.off_percent, ' left')}")
     elif progress.is_running and progress.seconds_left is not None:
         parts.append(f"devices and edges: about {duration_text(max(1, round(progress.seconds_left)))} left")
     if progress.warnings:
         parts.append(f"{len(progress.warnings)} warning{'s' * (len(progress.warnings) > 1)}")
     return "   ·   ".join(parts)
+
+
+def _off_text(percent: float | None, left: str) -> str:
+    """What follows a time that is `left`: how far off it may be, as on the terminal."""
+    if percent is None:
+        return left
+    return f" ± {percent:.0f} %{left}" if round(percent) < 100 else f"{left} (may be twice as long or more)"

@@ -224,25 +224,27 @@ def splats_picture(
     has_regions = any(len(border) for border in cloud_plan.borders)
     layers = [border_layer(cloud_plan, ground), _region_names(cloud_plan, ground)] if has_regions else []
     room_wh = drawing_size_wh(size_wh, is_map=False)
-    subtitle = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
     if camera is None:
         view = fit_camera(framed_positions(scene, cloud_plan), room_wh)
         visible = shown_model(splats, framed_box(scene, cloud_plan))
-        subtitle += f"; {visible.sentence}" if visible.sentence else ""
-        splats = visible.splats
+        subtitle, splats = _model_text(splats, visible.sentence), visible.splats
     else:
         view = _fit_to_page(scene.cameras.named([camera]), room_wh)
-        subtitle += f"   ·   from {camera}"
+        subtitle = f"{_model_text(splats)}   ·   from {camera}"
     text = PageText(title="Model", subtitle=subtitle, unit=scene.frame.unit)
     return compose_page(draw_splat_view(layers, splats, view), layers, size_wh, text)
+
+
+def _model_text(splats: Splats, hidden: str = "") -> str:
+    """All Gaussians of a model, and what of them is `hidden`."""
+    return f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}{f'; {hidden}' if hidden else ''}"
 
 
 def model_picture(splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
     """Return a model alone by our renderer, from obliquely above."""
     box = model_box(splats)
     model = shown_model(splats, box)
-    subtitle = f"{len(model.splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
-    subtitle += f"; {model.sentence}" if model.sentence else ""
+    subtitle = _model_text(splats, model.sentence)
     drawing = draw_splat_view([], model.splats, fit_camera(box_corners(box), drawing_size_wh(size_wh, is_map=False)))
     # A model alone has no unit.
     return compose_page(drawing, [], size_wh, PageText(title="Model", subtitle=subtitle, unit="units"))

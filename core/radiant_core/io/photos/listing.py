@@ -348,6 +348,8 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
         data = read_bounded(path, MAX_FILE_BYTES)
     except StoreDamaged:
         return Skipped(name=name, reason="cannot be read")
+    if not data:
+        return Skipped(name=name, reason="is an empty file (0 bytes)")
     size_wh, whole, exif = file_facts(data)
     if size_wh is None:
         return Skipped(name=name, reason="is not a JPEG, PNG or TIFF image")

@@ -20,6 +20,9 @@ from radiant_core.plan.system import Edge, System
 
 MAX_COORDINATE_M = 1e8
 """Coordinates may be UTM-sized, not of another planet."""
+FAR_M = 100e3
+"""A site is no wider: an edge beyond has its place from another system file."""
+EARTH_M = 6.371e6
 _LLOYD_ROUNDS = 10
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
@@ -38,6 +41,27 @@ def place_edges(system: System, positions: ArrayLike, origin_lat_lon_alt: ArrayL
     free = iter(_seeded_positions(positions, np.array(fixed).reshape(-1, 2), num_free, seed))
     edges = [edge if edge.position is not None else _move_to(edge, next(free)) for edge in located]
     return replace(system, edges=tuple(edges))
+
+
+def distant_edges(system: System, origin_lat_lon_alt: ArrayLike | None) -> tuple[str, ...]:
+    """A sentence for each edge whose latitude and longitude are `FAR_M` or more over the globe from
+    the origin (3,) [deg, deg, m] of the cameras; none without an origin (None)."""
+    if origin_lat_lon_alt is None:
+        return ()
+    away = {edge.id: _over_globe_m(edge.lat_lon_deg, origin_lat_lon_alt) for edge in system.edges if edge.lat_lon_deg is not None}
+    return tuple(
+        f"Edge {name!r} stands {away_m / 1000:,.0f} km from the photographs: change lat_lon_deg in its system file, or leave it out to "
+        "have it placed among them."
+        for name, away_m in away.items()
+        if away_m >= FAR_M
+    )
+
+
+def _over_globe_m(lat_lon_deg: ArrayLike, other_lat_lon_deg: ArrayLike) -> float:
+    """Metres along the great circle between two places, good to half a percent."""
+    (lat, lon), (other_lat, other_lon) = (np.radians(np.asarray(place, float)[:2]) for place in (lat_lon_deg, other_lat_lon_deg))
+    half = np.sin((lat - other_lat) / 2) ** 2 + np.cos(lat) * np.cos(other_lat) * np.sin((lon - other_lon) / 2) ** 2
+    return float(2 * EARTH_M * np.arcsin(min(1.0, np.sqrt(half))))
 
 
 def require_within_reach(*positions: FloatArray) -> None:

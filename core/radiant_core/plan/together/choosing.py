@@ -22,6 +22,7 @@ import numpy as np
 from radiant_core.choices import TrainedAs
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
+from radiant_core.numerics import figure_text
 from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.system import Cloud, Device, Edge, System
 from radiant_core.plan.timeline.prediction import planned_stages
@@ -185,7 +186,7 @@ def _chosen(case: _Case, group: GroupPlan, cost: StepCost, joined_s: float, leve
         reason = took
     else:
         links = "" if case.topic == WITHIN else " of the edges' links"
-        at = f"at {level_bytes_per_s * 8 / 1e6:,.3g} Mbit/s{links}"
+        at = f"at {figure_text(level_bytes_per_s * 8 / 1e6)} Mbit/s{links}"
         reason = f"{took}; {at} it would take {WORTH:g} times as long as joining, which its quality is worth"
     decision = Decision(
         stage=STAGE,
@@ -308,8 +309,8 @@ def _level_links(difference_s: Callable[[float], float], slowest_bytes_per_s: fl
 
 
 def _megabytes(count: float) -> str:
-    return f"{count / 1e6:.2g} MB"
+    return f"{figure_text(count / 1e6, 2)} MB"
 
 
 def _ms(seconds: float) -> str:
-    return f"{1000 * seconds:.3g} ms"
+    return f"{figure_text(1000 * seconds)} ms"

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from radiant_core.cameras import Cameras
-from radiant_core.errors import CannotWrite
+from radiant_core.errors import CannotWrite, way_to_write
 from radiant_core.frames import Sim3
 from radiant_core.io.run_store import require_room
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
@@ -125,7 +125,7 @@ def _write(path: Path, data: bytes) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
     except OSError as error:
-        raise CannotWrite(f"cannot write {path}: {error.strerror or error}: free space or choose another output folder.") from error
+        raise CannotWrite(f"cannot write {path}: {error.strerror or error}: {way_to_write(error)}.") from error
 
 
 def fit_model(model_folder: Path, world_from_model: Sim3, cameras: Cameras) -> None:
