@@ -25,7 +25,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats
 from radiant_core.train.config import train_preset, with_settings, without_mean
 from radiant_core.train.views import TrainingViews
-from tests.bench.test_seam_error import plan_of
+from tests.core.plan.made_plans import plan_of
 from tests.core.scenes import cameras_above, ground_splats
 
 SITES = np.array([[-3.0, 0.0], [3.0, 0.0]])
@@ -65,8 +65,8 @@ def test_ground_that_is_hard_on_one_side_cancels_out_and_what_costs_beyond_the_b
 
 def test_every_photograph_names_its_own_side_and_the_one_beyond() -> None:
     errors = errors_by_ground(0.1, 0.2)
-    assert {(error.side, error.beyond) for error in errors} == {("0", "1"), ("1", "0")}
-    first = next(error for error in errors if error.side == "0")
+    assert {(error.side, error.beyond) for error in errors} == {("edge-0", "edge-1"), ("edge-1", "edge-0")}
+    first = next(error for error in errors if error.side == "edge-0")
     assert (first.before_db, first.beyond_db) == (pytest.approx(-20, abs=1e-2), pytest.approx(20 * np.log10(0.2), abs=1e-2))
     # Cameras at 3.5 m do not see the other side.
     assert len(errors) == 12
@@ -76,12 +76,12 @@ def test_neither_the_order_nor_the_machines_of_photographs_matter() -> None:
     rng = np.random.default_rng(0)
     errors = [BorderError(side=str(i % 2), beyond=str(1 - i % 2), before_db=rng.normal(-30), beyond_db=rng.normal(-29)) for i in range(20)]
     assert pooled_excess(errors) == pooled_excess(errors[7:] + errors[:7])
-    assert excess_by_border(errors) == {("0", "1"): pooled_excess(errors)}
+    assert excess_by_border(errors) == {("edge-0", "edge-1"): pooled_excess(errors)}
 
 
 def test_too_few_photographs_of_either_side_or_one_region_have_no_figure() -> None:
     errors = errors_by_ground(0.1, 0.2)
-    few = [error for error in errors if error.side == "0"] + [error for error in errors if error.side == "1"][:2]
+    few = [error for error in errors if error.side == "edge-0"] + [error for error in errors if error.side == "edge-1"][:2]
     told = pooled_excess(few)
     assert told.excess_db is None and told.has_seam is None and "3 training photographs" in str(told.reason)
     assert errors_by_ground(0.1, 0.2, plan_of(SITES[:1], np.zeros(1))) == [] and pooled_excess([]).reason
