@@ -33,7 +33,7 @@ from radiant_core.light.captures import save_captures
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
-from tests.bench.test_seam_error import plan_of
+from tests.core.plan.made_plans import plan_of
 from tests.core.scenes import cameras_above, ground_splats
 
 CAMERAS = cameras_above([(x, y) for x in (-1.5, -0.5, 0.5, 1.5) for y in (-1.0, 0.0, 1.0)], size_wh=(192, 144))

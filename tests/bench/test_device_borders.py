@@ -8,30 +8,7 @@ import shapely
 
 from benchmarks.methods.device_borders import DeviceBorders
 from radiant_core.errors import BadInput
-from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.regions.power_diagram import clip_polygon
-from tests.core.plan.made_plans import plan_of
-
-
-def edge_plan_of(edge_id: str, strips: list[np.ndarray]) -> EdgePlan:
-    return EdgePlan(
-        edge_id=edge_id,
-        device_ids=tuple(f"{edge_id}-{index}" for index in range(len(strips))),
-        camera_indices=np.zeros(0, np.int64),
-        device_of_camera=np.zeros(0, np.int64),
-        strips=tuple(strips),
-        device_time_s=np.zeros(len(strips)),
-    )
-
-
-def two_edges_of_strips(shift: float = 0.0) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """The west edge in three oblique strips, the middle empty; the east edge with one device."""
-    west = np.array([[-100.0, -50.0], [0.0, -50.0], [0.0, 50.0], [-100.0, 50.0]])
-    axis, cut = np.array([0.8, 0.6]), -40.0
-    first, last = clip_polygon(west, axis, cut), clip_polygon(west, -axis, -cut)
-    strips = [first + shift, np.empty((0, 2)), last + shift]
-    plan = plan_of(np.array([[-50.0, 0.0], [50.0, 0.0]]) + shift)
-    return plan, (edge_plan_of("edge-0", strips), edge_plan_of("edge-1", [west + np.array([100.0, 0.0]) + shift]))
+from tests.core.plan.made_plans import two_edges_of_strips
 
 
 @pytest.mark.parametrize("shift", [0.0, 1e6])

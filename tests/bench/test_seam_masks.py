@@ -11,7 +11,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import EdgeBorders
 from tests.bench.test_seam_error import camera_above
-from tests.core.evaluate.test_borders import plan_of, two_edges_of_strips
+from tests.core.plan.made_plans import plan_of, two_edges_of_strips
 from tests.core.scenes import cameras_above
 
 TWO_HALVES = plan_of(np.array([[-10.0, 0.0], [10.0, 0.0]]))

@@ -76,7 +76,7 @@ def test_neither_the_order_nor_the_machines_of_photographs_matter() -> None:
     rng = np.random.default_rng(0)
     errors = [BorderError(side=str(i % 2), beyond=str(1 - i % 2), before_db=rng.normal(-30), beyond_db=rng.normal(-29)) for i in range(20)]
     assert pooled_excess(errors) == pooled_excess(errors[7:] + errors[:7])
-    assert excess_by_border(errors) == {("edge-0", "edge-1"): pooled_excess(errors)}
+    assert excess_by_border(errors) == {("0", "1"): pooled_excess(errors)}
 
 
 def test_too_few_photographs_of_either_side_or_one_region_have_no_figure() -> None:
