@@ -20,7 +20,7 @@ from radiant_app.config.run_config import RunConfig, TrainOptions
 from radiant_app.events import Event, RunLeft, StageDone, StageProgress, StageStarted
 from radiant_app.executors.fork_server import ForkedProcess
 from radiant_app.files.run_folder import read_manifest
-from radiant_app.report import drawing, html
+from radiant_app.report import drawing
 from radiant_app.report.drawing import draw_report
 from radiant_app.report.gaps import gaps_of, notes_of
 from radiant_app.report.html import NUM_SIDES, PARTS, REPORT, title_of, with_code
@@ -52,7 +52,6 @@ def finished(hamlet_project: Path, tmp_path_factory: pytest.TempPathFactory, hea
     train = TrainOptions(long_side_px=64, num_steps=20, max_num_splats=600)
     with drawn_pictures(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(drawing, "started_server", open_server_of_tests)
-        patch.setattr(html, "write_report", None)  # a fork draws, and this process does not
         return run(RunConfig(source=hamlet_project, out=out, train=train, plan=FOUR), heard.append)
 
 
