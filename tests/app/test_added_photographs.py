@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 from rich.console import Console
-from scipy.stats import spearmanr
+from scipy.stats import rankdata
 from typer.testing import CliRunner
 
 import radiant
@@ -116,7 +116,7 @@ def test_errors_are_read_at_the_same_places_of_smaller_pictures(
     smaller = known_before_after(survey, earlier, quiet()).after.error_db
     np.testing.assert_array_equal(np.isfinite(smaller), np.isfinite(whole))
     scored = np.isfinite(whole)
-    assert scored.sum() > 100 and spearmanr(whole[scored], smaller[scored]).statistic > 0.9
+    assert scored.sum() > 100 and np.corrcoef(rankdata(whole[scored]), rankdata(smaller[scored]))[0, 1] > 0.9
 
 
 def test_the_result_is_extended_again_and_unusable_requests_leave_nothing(
