@@ -51,8 +51,7 @@ def draw_report(run: Path, manifest: Manifest, metrics: Mapping[str, Any], liste
             html.write_report(run, manifest, dict(metrics), listen)
             return
         try:
-            failure = _follow(drawing, run, manifest, metrics, listen)
-            code = drawing.wait()
+            failure, code = _follow(drawing, run, manifest, metrics, listen)
         finally:
             _stop(drawing)
         if failure is not None:
@@ -77,8 +76,10 @@ def _start(server: ForkServer, log: IO[str], environment: Mapping[str, str]) -> 
     return None
 
 
-def _follow(drawing: ForkedProcess, run: Path, manifest: Manifest, metrics: Mapping[str, Any], listen: Listener) -> Failed | None:
-    """Tell what to draw and pass on what is heard, to the end; the failure that was told."""
+def _follow(
+    drawing: ForkedProcess, run: Path, manifest: Manifest, metrics: Mapping[str, Any], listen: Listener
+) -> tuple[Failed | None, int]:
+    """Tell what to draw and pass on what is heard, to the end: the failure that was told, the exit code."""
     assert drawing.stdin is not None and drawing.stdout is not None
     of_manifest = {field.name: getattr(manifest, field.name) for field in fields(manifest) if field.name != "folder"}
     failure = None
@@ -93,7 +94,9 @@ def _follow(drawing: ForkedProcess, run: Path, manifest: Manifest, metrics: Mapp
                 failure = event
             else:
                 listen(event)
-    return failure
+        # Before standard input closes, whose end is for it the end of the run: it tells its last
+        # event, and closes its output, a moment before it ends.
+        return failure, drawing.wait()
 
 
 def _stop(drawing: ForkedProcess) -> None:

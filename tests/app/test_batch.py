@@ -17,6 +17,7 @@ from radiant_app.commands.run.batch import BatchResult, JobResult
 from radiant_app.commands.run.demo import sample_scenes_folder
 from radiant_core.io.records import load_plan
 from tests.app.pipeline_kit import radiant, refused
+from tests.forked import has_ended
 
 HAMLET = sample_scenes_folder() / "hamlet"
 WAIT_S = 60.0
@@ -187,7 +188,7 @@ def test_ctrl_c_stops_the_running_job_and_names_the_rest(desk: Path) -> None:
     assert process.returncode == 130 and "--resume" in errors and "not started" in output, errors
     assert [job["status"] for job in summary(out)["jobs"]] == ["interrupted", "not started"]
     assert summary(out)["exit_code"] == 130
-    assert not [pid for pid in (job, worker) if Path(f"/proc/{pid}").exists()], "nothing outlives the batch"
+    assert all(has_ended(pid) for pid in (job, worker)), "nothing outlives the batch"
     assert json.loads((out / "slow" / "manifest.json").read_text())["status"] == "interrupted"
 
 
@@ -197,7 +198,7 @@ def test_a_killed_batch_takes_its_job_along(desk: Path) -> None:
     worker = waited_for(lambda: next(iter(children_of(job)), None))
     process.kill()
     process.communicate(timeout=WAIT_S)
-    waited_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in (job, worker)))
+    waited_for(lambda: all(has_ended(pid) for pid in (job, worker)))
     assert summary(desk / "killed")["jobs"][0]["status"] == "running"
 
 

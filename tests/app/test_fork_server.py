@@ -26,18 +26,11 @@ from radiant_app.executors.sessions import signal_session
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import StageFailed
 from radiant_core.io.run_store import SEAL_NAME, seal
+from tests.forked import has_ended
 
 pytestmark = pytest.mark.skipif(not CAN_FORK, reason="processes are forked on Linux alone")
 NAMES = ("json",)
 Start = Callable[..., ForkedProcess]
-
-
-def has_ended(pid: int) -> bool:
-    """Whether a process is gone, or waits for nothing but its parent."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return True
 
 
 @pytest.fixture

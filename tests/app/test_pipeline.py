@@ -31,6 +31,7 @@ from radiant_core.io.run_store import read_json
 from radiant_core.io.transport.upload import load_upload
 from tests.app.alex_weights import write_alex_weights
 from tests.app.pipeline_kit import FOUR, TINY, TINY_OPTIONS, Finished, radiant, refused
+from tests.forked import has_ended
 from tests.told import stages_done
 
 
@@ -281,7 +282,7 @@ def test_ctrl_c_ends_with_130_and_the_run_can_be_resumed(finished: Finished, tmp
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130 and "--resume" in errors
-    assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()], "workers must end with the run"
+    assert all(has_ended(pid) for pid in workers), "workers must end with the run"
     result = run(RunConfig(source=config.source, out=out, train=TINY, plan=FOUR), resume=True)
     assert result.metrics["psnr_db"] > 5
 

@@ -7,6 +7,8 @@ import os
 import re
 import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -35,7 +37,7 @@ from tests.app.blank_reports import drawn_pictures
 from tests.app.pipeline_kit import FOUR
 from tests.browsers import chromium
 from tests.core.scenes import cameras_above, ground_splats
-from tests.forked import open_server_of_tests
+from tests.forked import has_ended, open_server_of_tests
 
 PHONE_PX = 390
 
@@ -124,6 +126,21 @@ def test_what_a_process_that_draws_cannot_do_is_an_error_of_the_run(copied: tupl
     assert len(started) == 2 and not (folder / "report.html").exists()
 
 
+def test_a_process_that_draws_may_end_after_its_last_word(
+    copied: tuple[Path, list[ForkedProcess]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The end of its standard input ends it, so that waits for the end of the process, not of its words."""
+    folder, _ = copied
+    # Ends with 1 where standard input ends within a second after its own output.
+    ending = "import os, select, sys; sys.stdin.readline(); os.close(1); sys.exit(bool(select.select([0], [], [], 1)[0]))"
+
+    def start(*arguments: Any) -> Any:
+        return subprocess.Popen([sys.executable, "-c", ending], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    monkeypatch.setattr(drawing, "_start", start)
+    draw_report(folder, read_manifest(folder), read_json(folder / "metrics.json"), lambda event: None)
+
+
 def test_an_interrupt_ends_the_process_that_draws(copied: tuple[Path, list[ForkedProcess]]) -> None:
     folder, started = copied
 
@@ -133,7 +150,7 @@ def test_an_interrupt_ends_the_process_that_draws(copied: tuple[Path, list[Forke
     with pytest.raises(KeyboardInterrupt):
         draw_report(folder, read_manifest(folder), read_json(folder / "metrics.json"), interrupt)
     (process,) = started
-    assert process.returncode is not None and not Path(f"/proc/{process.pid}").exists()
+    assert process.returncode is not None and has_ended(process.pid)
 
 
 def test_a_run_tells_how_far_its_report_is(finished: RunResult, heard: list[Event]) -> None:
