@@ -74,12 +74,22 @@ make_environment() {
   python3 -m venv .venv
 }
 
+# Sizes with torch's CPU build, of the wheels and of what their RECORD files list; minutes on two cores with nothing beside.
+say_what_comes() {
+  local on_disk=3.4
+  [[ "$1" == test ]] && on_disk=4.4
+  echo "setup.sh: this installs into .venv: 1.1 GB or more to download (more where torch brings CUDA), $on_disk GB on disk; about 5 minutes,
+  longer on busy cores. pip is silent while it compiles the C++ module (\"Building editable\", 1.5 minutes: rasterizer, training,
+  matching, planner) and while it writes the packages (\"Installing collected packages\")."
+}
+
 # $1: extras of pyproject.toml; the tests' have the everyday ones among them.
 install_project() {
   exec 9<.
   flock 9
   if [[ "$(cat ".venv/installed-$1" 2>/dev/null)" != "$(fingerprint 2>/dev/null)" || -e .venv/installing ]]; then
     install_system_packages
+    say_what_comes "$1"
     make_environment
     touch .venv/installing
     .venv/bin/python -m pip install --editable ".[$1]"

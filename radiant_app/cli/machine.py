@@ -13,6 +13,7 @@ from radiant_app.cli.config_options import option
 from radiant_app.cli.help import Command, Commands
 from radiant_app.cli.option_types import AsJson, LongSide, MaxSplats, NumSteps
 from radiant_app.config.run_config import GROUPS
+from radiant_app.report.tables import finish
 from radiant_core.errors import BadInput
 from radiant_core.train.config import Preset
 
@@ -85,14 +86,15 @@ def profile(
         return
     if out is None:
         raise BadInput("--out is missing: name the curve file, or give --list.")
+    from radiant_app.report.progress import terminal_display
+
     if from_run is not None:
         if source is not None:
             raise BadInput("--from takes the times of a run that is done: leave out the photographs.")
-        result = profile_command.profile_of_run(from_run, out, machine)
+        result = profile_command.profile_of_run(from_run, out, machine, terminal_display())
     else:
         from radiant_app.config.run_config import ExecutionOptions
         from radiant_app.quantities import seconds_of
-        from radiant_app.report.progress import terminal_display
         from radiant_core.train.needs import Overrides
 
         request = profile_command.ProfileRequest(
@@ -112,5 +114,5 @@ def profile(
         return
     if result["check"]:
         typer.echo(profile_command.check_table(result["check"]))
-    for name in ("machine", "training", "measured_steps", "largest_count", "exchange", "warnings", "profile"):
-        typer.echo(f"{name}: {result[name]}")
+    shown = ("machine", "training", "measured_steps", "largest_count", "exchange", "profile")
+    finish({name: result[name] for name in shown}, as_json=False)

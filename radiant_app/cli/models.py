@@ -10,6 +10,7 @@ import typer
 
 from radiant_app.cli.option_types import AsJson, FileCrsOption, LpipsNet, LpipsWeights, RequireCrsGridsOption, SizeOption
 from radiant_app.quantities import size_wh_of
+from radiant_app.report.figure_words import OF_GAUSSIANS
 from radiant_app.report.tables import finish, print_figures
 from radiant_core.choices import ExportFormat, SpzVersion, TileContent, Trajectory
 from radiant_core.errors import BadInput
@@ -338,7 +339,7 @@ def clean(
     if not as_json:
         for step in result["steps"]:
             typer.echo(f"{step['left_out']:,} left out; kept: {step['keeps']}")
-    finish(result, as_json)
+    finish(result, as_json, OF_GAUSSIANS)
 
 
 def _heights(text: str | None) -> tuple[float | None, float | None]:

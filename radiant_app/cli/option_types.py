@@ -96,7 +96,10 @@ GroundOption = Annotated[
     float | None,
     typer.Option("--ground", help="Altitude of the ground, in metres as in the waypoints; by default 0.", rich_help_panel=BEFORE_CAPTURE),
 ]
-FieldOfViewOption = Annotated[float, typer.Option("--field-of-view", help="Degrees across an image.", rich_help_panel=BEFORE_CAPTURE)]
+FieldOfViewOption = Annotated[
+    float | None,
+    typer.Option("--field-of-view", help="Degrees across an image; by default by EXIF, else 73.7.", rich_help_panel=BEFORE_CAPTURE),
+]
 BufferOption = Annotated[
     str | None,
     typer.Option(
@@ -163,7 +166,12 @@ SpeedOption = Annotated[
 ]
 BatteryOption = Annotated[str, typer.Option(help="Time in the air on one battery, without the reserve.", rich_help_panel=FLIGHT)]
 ImageWidthOption = Annotated[
-    int, typer.Option("--image-width-px", min=16, help="Width of the images, for the ground sampling distance.", rich_help_panel=FLIGHT)
+    int | None,
+    typer.Option("--image-width-px", min=16, help="Width of the images; by default by EXIF, else 4000.", rich_help_panel=FLIGHT),
+]
+ImageHeightOption = Annotated[
+    int | None,
+    typer.Option("--image-height-px", min=16, help="Their height; by default by EXIF, else three quarters of it.", rich_help_panel=FLIGHT),
 ]
 SizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height of a picture in px.")]
 UpOption = Annotated[str | None, option("sfm.up")]

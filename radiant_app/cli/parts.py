@@ -35,6 +35,7 @@ from radiant_app.cli.option_types import (
 from radiant_app.config.fields import train_options, with_settings
 from radiant_app.config.run_config import FIRST, OUTPUT
 from radiant_app.quantities import bytes_of, seconds_of
+from radiant_app.report.figure_words import OF_GAUSSIANS
 from radiant_app.report.tables import finish, print_model, print_scene
 from radiant_core.errors import BadInput
 
@@ -252,7 +253,7 @@ def join(
             from radiant_app.commands.plan.added_photographs import AddedRequest, extend_by_photographs
 
         added = AddedRequest(run=run_folder, photographs=photographs, out=out, num_epochs=epochs)
-        return finish(extend_by_photographs(added, terminal_display()), as_json)
+        return finish(extend_by_photographs(added, terminal_display()), as_json, OF_GAUSSIANS)
     wrong = [typed[name] for name in (("region", "margin_m") if new is None else ("aggregate_preset",)) if name in typed]
     if wrong and new is None:
         raise BadInput(f"{wrong[0]} is of a new region: name the run of that region too, radiant join RUN NEW.")
@@ -265,7 +266,7 @@ def join(
     if new is None:
         return finish(aggregate(run_folder, out, aggregate_preset, epochs, terminal_display()), as_json)
     request = ExtendRequest(old=run_folder, new=new, out=out, region=region, margin_m=margin_m, num_epochs=epochs)
-    return finish(extend(request, terminal_display()), as_json)
+    return finish(extend(request, terminal_display()), as_json, OF_GAUSSIANS)
 
 
 def _print_result(out: Path, result: dict[str, Any], num_hidden: int) -> None:

@@ -11,6 +11,7 @@ import typer
 
 from radiant_app.cli import option_types as options
 from radiant_app.cli.config_options import options_of, typed_options, with_options_of
+from radiant_app.report.figure_words import OF_POSITIONS
 from radiant_app.report.tables import finish
 from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
@@ -56,7 +57,7 @@ def plan_again(
     result = replan_files(request, terminal_display())
     if not as_json:
         typer.echo(replan_table(result))
-    finish(result, as_json)
+    finish(result, as_json, OF_POSITIONS)
 
 
 def plan_next_flight(
@@ -119,7 +120,7 @@ def plan(
     cut_by: options.CutByOption = "auto",
     raster_cell_m: options.RasterCellOption = None,
     ground: options.GroundOption = None,
-    field_of_view: options.FieldOfViewOption = 73.7,
+    field_of_view: options.FieldOfViewOption = None,
     buffer: options.BufferOption = None,
     deadline: options.DeadlineOption = None,
     train_preset: options.PlannedTraining = "default",
@@ -138,7 +139,8 @@ def plan(
     geoid: options.GeoidOption = None,
     speed: options.SpeedOption = 8.0,
     battery: options.BatteryOption = "20m",
-    image_width: options.ImageWidthOption = 4000,
+    image_width: options.ImageWidthOption = None,
+    image_height: options.ImageHeightOption = None,
     seed: options.Seed = 0,
     as_json: options.AsJson = False,
     **later: Any,
@@ -241,7 +243,7 @@ def _request_of(typed: Mapping[str, Any]) -> PlanRequest:
     }
     same_named |= {name: typed[name] for name in ("crs", "require_grids", "train_preset")}
     heights = HeightOptions(*(typed[name] for name in ("heights", "height", "min_height", "max_height", "geoid")))
-    drone = DroneText(*(typed[name] for name in ("speed", "battery", "image_width", "field_of_view")))
+    drone = DroneText(*(typed[name] for name in ("speed", "battery", "image_width", "field_of_view", "image_height")))
     return PlanRequest(
         **same_named,
         method=typed["plan_method"],

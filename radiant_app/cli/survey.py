@@ -62,7 +62,9 @@ def measure(
     result = measure_run(request, terminal_display())
     if as_json:
         return finish(result, as_json)
-    return finish(dict(_lines(result)), as_json)
+    for line in _lines(result):
+        typer.echo(line)
+    return None
 
 
 def _require_one_question(typed: dict[str, str]) -> None:
@@ -77,9 +79,9 @@ def _require_one_question(typed: dict[str, str]) -> None:
         raise BadInput("--out is missing: name a new folder for what has changed.")
 
 
-def _lines(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _lines(result: dict[str, Any]) -> Iterator[str]:
     """A line for each measure: its figures with σ."""
     from radiant_core.io.measures_file import figures_text
 
     for name, row in (result["measures"] if "measures" in result else {result["name"]: result}).items():
-        yield name, figures_text(row)
+        yield f"{name}: {figures_text(row)}"

@@ -1,9 +1,11 @@
 """The folders that a file named by --out is to lie in: looked at before the work, made for it when
-it is written."""
+it is written; and files that appear there together or not at all."""
 
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -39,3 +41,23 @@ def folder_made_for(out: Path) -> Iterator[None]:
             with suppress(OSError):
                 folder.rmdir()
         raise
+
+
+@contextmanager
+def write_folder_atomically(target: Path) -> Iterator[Path]:
+    """A hidden folder inside `target` whose content moves there when the block ends well, and
+    vanishes when it does not."""
+    folder = Path(tempfile.mkdtemp(prefix=".plan.", dir=target))
+    try:
+        yield folder
+        # The plan itself last: where it stands, everything else does.
+        ordered = sorted(folder.iterdir(), key=lambda path: path.suffix == ".json")
+        try:
+            for path in ordered:
+                path.rename(target / path.name)
+        except BaseException:
+            for path in (target / path.name for path in ordered):
+                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+            raise
+    finally:
+        shutil.rmtree(folder)

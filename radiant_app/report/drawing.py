@@ -79,7 +79,8 @@ def _start(server: ForkServer, log: IO[str], environment: Mapping[str, str]) -> 
 def _follow(
     drawing: ForkedProcess, run: Path, manifest: Manifest, metrics: Mapping[str, Any], listen: Listener
 ) -> tuple[Failed | None, int]:
-    """Tell what to draw and pass on what is heard, to the end: the failure that was told, the exit code."""
+    """Tell what to draw and pass on what is heard, to the end: the failure that was told, and the
+    exit code."""
     assert drawing.stdin is not None and drawing.stdout is not None
     of_manifest = {field.name: getattr(manifest, field.name) for field in fields(manifest) if field.name != "folder"}
     failure = None

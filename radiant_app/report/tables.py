@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from radiant_app.report.advice import what_to_try
+from radiant_app.report.figure_words import WORDS, figure_lines
 from radiant_app.report.verdict import verdict_of
 from radiant_core.io.run_store import read_json
 
@@ -40,7 +41,7 @@ def print_figures(result: dict[str, Any]) -> None:
     from rich.table import Table
 
     forms = {"psnr_db": "{:.2f}", "ssim": "{:.4f}", "psnr_cc_db": "{:.2f}", "ssim_cc": "{:.4f}", "flip": "{:.4f}", "lpips": "{:.4f}"}
-    table = Table("photograph", *forms)
+    table = Table("photograph", *(f"{WORDS[figure]} (dB)" if figure.endswith("_db") else WORDS[figure] for figure in forms))
     for row in (*result["images"], {"name": "mean", **result}, {"name": "median", **result["median"]}):
         table.add_row(row["name"], *("" if row[figure] is None else form.format(row[figure]) for figure, form in forms.items()))
     _print(table)
@@ -77,22 +78,15 @@ def print_scene(result: Mapping[str, Any]) -> None:
         typer.echo(line)
     for line in () if survey is None else survey_lines(survey):
         typer.echo(line)
-    if result["warnings"] != "none":
-        typer.echo(f"warnings: {result['warnings']}")
     folder = quote(str(result["folder"]))
     typer.echo(f"scene: {folder}\nnext: radiant train {folder} --out MODEL, or radiant inspect {folder}")
 
 
-def finish(result: dict[str, Any], as_json: bool) -> None:
-    """What a command prints: one JSON object, or a line per figure."""
+def finish(result: dict[str, Any], as_json: bool, words: Mapping[str, str] | None = None) -> None:
+    """What a command prints: one JSON object, where sentences (a tuple) are one text, or a line per
+    figure or sentence in words, `words` before the usual ones."""
     if as_json:
-        typer.echo(json.dumps(result))
+        typer.echo(json.dumps({key: " ".join(value) if isinstance(value, tuple) else value for key, value in result.items()}))
         return
-    for key, value in result.items():
-        if not isinstance(value, list | dict):
-            typer.echo(f"{key}: {_read_text(value) if isinstance(value, float) else value}")
-
-
-def _read_text(value: float) -> str:
-    """A number as people read it: hundredths, or three digits of less than 1."""
-    return f"{value:.2f}" if abs(value) >= 1 else f"{value:.3g}"
+    for line in figure_lines(result, words):
+        typer.echo(line)

@@ -169,6 +169,7 @@ def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Pat
         ReplanRequest(source=config.out, out=tmp_path / "new.json", change=FleetChange(dead=frozenset(["south-1"]))), display
     )
     assert new["captured"] == delivered and new["lost"] == new["moved"] == 0, "what a dead device has delivered stays"
+    assert "Nothing changes by the loss of south-1, whose models have arrived." in new["warnings"]
     extended = extend(ExtendRequest(old=config.out, new=config.out, out=tmp_path / "more.ply", num_epochs=1), display)
     assert extended["frames"] == "both runs have one origin" and extended["views"] > 0 and extended["gaussians"] > 100
     # Without a place it is not planned, so that nobody else has anything new to do.

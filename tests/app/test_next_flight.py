@@ -218,6 +218,14 @@ def test_a_deadline_that_no_photograph_meets_is_refused(run: Path) -> None:
         assert not out.exists()
 
 
+def test_an_edge_far_from_the_scene_is_told_once(run: Path) -> None:
+    system, display = run.parent / "far.toml", Hearing()
+    system.write_text(MACHINES.replace("position_m = [0.0, 40.0]", "lat_lon_deg = [-30.0, 150.0]"))
+    figures = plan_next_flight(NextFlightRequest(run=run, out=run.parent / "far", photographs=4, system=system, resolution=4.0), display)
+    told = [event.message for event in display.heard if isinstance(event, Warned) and " km from the photographs" in event.message]
+    assert len(told) == 1 and told[0].startswith("Edge 'north' stands ") and figures["views"] == 4
+
+
 def test_an_edge_that_is_a_curve_alone_flies_nothing(run: Path) -> None:
     system = run.parent / "curve.toml"
     system.write_text(MACHINES + '[[edge]]\nid = "curve"\nposition_m = [0.0, 0.0]\ntime_s = { linear = 1.0 }\n')
@@ -232,7 +240,7 @@ def test_the_map_alone_has_no_flight_and_bad_requests_leave_nothing(run: Path) -
     assert "views" not in figures
     assert sorted(path.name for path in out.iterdir()) == ["known.geojson", "known.png", "known.tif", "known_map.tif"]
     lines = next_flight_lines(figures, run)
-    assert f"surface: {figures['surface']} m²" in lines and "resolution: 4.0 m" in lines
+    assert f"surface of the model: {figures['surface']:,.1f} m²" in lines and "side of a cell: 4.00 m" in lines
     assert lines[-1] == f"next: radiant plan --next {run} --photographs 13 --out OUT"
     nothing = run.parent / "nothing"
     for request, said in (

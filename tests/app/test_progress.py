@@ -393,10 +393,10 @@ def test_printed_figures_are_rounded_and_json_keeps_all_digits(capsys: pytest.Ca
     }
     finish(result, as_json=False)
     assert capsys.readouterr().out.splitlines() == [
-        "makespan_s: 63.33",
-        "area_m2: 1234567.89",
-        "ssim: 0.681",
-        "planned: 12",
+        "makespan: 63.33 s",
+        "area: 1,234,567.9 m²",
+        "SSIM: 0.681",
+        "positions planned: 12",
         "status: optimal",
     ]
     finish(result, as_json=True)

@@ -95,6 +95,24 @@ def test_a_dead_device_and_a_joined_edge_make_a_plan_with_all_its_files(planned:
     assert result["makespan_s"] == pytest.approx(result["lower_bound_s"])
 
 
+def test_each_warning_is_a_line_and_a_joining_edge_far_away_is_one(planned: Path) -> None:
+    (planned / "far.toml").write_text('[[edge]]\nid = "far"\nlat_lon_deg = [50.0, 8.54]\n[[edge.device]]\nid = "f1"\n')
+    console = Console(file=io.StringIO())
+    request = ReplanRequest(
+        source=planned / "plan.json",
+        out=planned / "far.json",
+        system=planned / "system.toml",
+        change=FleetChange(dead=frozenset({"n2"})),
+        join=planned / "far.toml",
+        captured=csv_of(planned, "captured.csv", range(0, 180, 5)),
+    )
+    warnings = replan_files(request, ProgressDisplay(console))["warnings"]
+    assert isinstance(console.file, io.StringIO)
+    lines = [line.removeprefix("warning replan: ") for line in console.file.getvalue().splitlines() if line.startswith("warning")]
+    # 2.63 degrees of latitude.
+    assert len(lines) >= 2 and " ".join(lines) == warnings and any(line.startswith("Edge 'far' stands 292 km") for line in lines)
+
+
 def test_bad_requests_are_one_sentence_and_leave_nothing(planned: Path) -> None:
     (planned / "twice.toml").write_text('[[edge]]\nid = "new"\n[[edge.device]]\nid = "n1"\n')
     (planned / "old_gantt.png").write_text("mine")

@@ -46,6 +46,7 @@ IDEAS: dict[str, tuple[str, ...]] = {
     ),
     "one way to join, and when it is taken": ("radiant_core.aggregate.cloud_choice", "radiant_core.aggregate.crop_merge"),
     "one law, with tests of its own": (
+        "radiant_app.commands.plan.optics",
         "radiant_core.geometry.surface_matches",
         "radiant_core.georef.control_guess",
         "radiant_core.georef.given_world",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
+import shutil
 import subprocess
 from collections.abc import Iterator
 from functools import cache
@@ -92,6 +94,26 @@ def test_setup_refuses_what_it_does_not_know_in_one_sentence() -> None:
         assert result.returncode == 2
         assert len(result.stderr.strip().splitlines()) == 1
         assert arguments[-1] in result.stderr
+
+
+def test_setup_says_size_and_time_before_it_downloads(tmp_path: Path) -> None:
+    stub = 'if [[ "$*" == "-m venv .venv" ]]; then mkdir -p .venv/bin; cp "$0" .venv/bin/python; fi; echo "python $*"\n'
+    for name, text in (("python3", stub), ("dpkg-query", "echo -n installed\n")):
+        (tmp_path / "bin" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "bin" / name).write_text("#!/bin/bash\n" + text)
+        (tmp_path / "bin" / name).chmod(0o755)
+    for name in ("core/radiant_core/native", "viewer", "radiant_app", "radiant", "benchmarks/native"):
+        (tmp_path / name).mkdir(parents=True)
+    for name in ("pyproject.toml", "CMakeLists.txt"):
+        (tmp_path / name).touch()
+    shutil.copy(ROOT / "setup.sh", tmp_path)
+    path = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+    said = subprocess.run(["./setup.sh"], cwd=tmp_path, capture_output=True, text=True, check=True, env=path).stdout
+    before, _, after = said.partition("python -m pip install --editable")
+    assert all(word in before for word in ("GB to download", "GB on disk", "minutes", "Building editable")), before
+    assert "setup.sh: done" in after
+    again = subprocess.run(["./setup.sh"], cwd=tmp_path, capture_output=True, text=True, check=True, env=path).stdout
+    assert again.splitlines() == ["setup.sh: done; try .venv/bin/radiant --help"]
 
 
 def test_no_message_shows_a_tuple_of_an_array() -> None:

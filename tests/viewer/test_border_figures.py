@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +17,9 @@ from radiant_core.io.run_store import write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats
+from radiant_viewer.layers.palette import heat_colors
 from radiant_viewer.runs.border_figures import BorderFigures, border_figures
+from radiant_viewer.runs.run_layers import figures_layer
 from radiant_viewer.runs.seam_findings import excess_text, proven_excess_db, seam_findings, verdict_text
 from radiant_viewer.runs.seam_tour import seam_stops
 from tests.viewer.made_up_run import Town, made_up_town
@@ -93,6 +96,20 @@ def test_without_photographs_of_a_border_there_is_no_verdict(unseen: Callable[[S
     np.testing.assert_allclose(stops[0].worst, stops[0].ends.mean(axis=0))
 
 
+def test_the_caption_gives_the_step_of_the_brightest_piece_and_of_the_whole_border() -> None:
+    town = made_up_town(step_levels=60)
+    findings = seam_findings(town.scene, town.cloud_plan, town.splats)
+    layer = figures_layer(town.scene, town.cloud_plan, [finding.figures for finding in findings])
+    form = r"largest over a border: .*, ([\d.]+) levels beside [\d.]+ of texture; over a piece: up to ([\d.]+)"
+    found = re.search(form, verdict_text(findings, "m"))
+    assert found is not None and layer.heat is not None
+    whole, piece = (float(group) for group in found.groups())
+    levels = np.concatenate([finding.figures.levels_above_texture for finding in findings])
+    assert piece == pytest.approx(np.nanmax(levels), abs=0.05) and whole <= piece <= layer.heat.high
+    brightest = layer.segment_colors[int(np.nanargmax(levels))]
+    np.testing.assert_array_equal(brightest, heat_colors(np.array([np.nanmax(levels)]), layer.heat.low, layer.heat.high)[0])
+
+
 def test_nothing_found_says_how_little_was_looked_at_and_what_could_not_be_told() -> None:
     town = flown_over_the_west()
     plain = made_up_town()
@@ -122,7 +139,7 @@ def test_a_step_that_drowns_in_texture_is_not_told() -> None:
     names = ("north", "harbour")
     assert clear[names].has_step and clear[names].detectable_levels == 10
     assert drowned[names].detectable_levels > clear[names].step_levels
-    assert not drowned[names].has_step and str(round(drowned[names].detectable_levels)) in drowned[names].verdict
+    assert not drowned[names].has_step and str(math.ceil(drowned[names].detectable_levels)) in drowned[names].verdict
 
 
 def test_the_shares_are_those_of_the_images_that_show_a_place() -> None:

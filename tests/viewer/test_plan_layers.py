@@ -50,7 +50,7 @@ def test_a_region_alone_borders_on_no_other() -> None:
     plan = made_up_town().cloud_plan
     alone = replace(plan, borders=(plan.borders[0], *(np.zeros((0, 2)),) * (len(plan.borders) - 1)))
     (several,), (one,) = border_layer(plan).legend, border_layer(alone).legend
-    assert (several.text, one.text) == ("Border between regions", "Border of the region")
+    assert (several.text, one.text) == ("Border of a region", "Border of the region")
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), UTM])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 
 from radiant_core.geometry.cleaning_file import cleaning_path
 from radiant_viewer.open3d_window.content import load_content
+from radiant_viewer.pictures.page import PANEL_PX
 from radiant_viewer.pictures.splat_picture import fit_camera, render_rgbd
 from radiant_viewer.runs import run_pictures
 from radiant_viewer.runs.run_layers import hidden_at_first, run_layers
@@ -165,14 +167,26 @@ def test_both_captions_count_all_gaussians_and_name_the_hidden(run: Path, monkey
     run_pictures.splats_picture(view.scene, view.cloud_plan, view.splats)
     run_pictures.model_picture(view.splats)
     for caption in told:
-        assert caption.startswith(f"{TOWN_GAUSSIANS + NUM_HAZE:,} Gaussians, ") and caption.endswith(" around the scene are hidden")
+        found = re.fullmatch(r"9,600 Gaussians, .*; the (\d+) around the scene \((\d) %\) are hidden", caption)
+        assert found is not None, caption
+        # Whole percent.
+        assert abs(int(found[2]) - 100 * int(found[1]) / (TOWN_GAUSSIANS + NUM_HAZE)) <= 0.5
     assert len(told) == 2
+
+
+def test_a_model_without_a_legend_has_the_whole_width_of_its_picture(run: Path) -> None:
+    view = load_run_view(run)
+    assert view.splats is not None
+    picture = run_pictures.model_picture(view.splats, (960, 540))
+    columns = np.flatnonzero((picture[80:] < 200).any(axis=(0, 2)))
+    # Beyond where a legend would begin, and about the middle of the page.
+    assert columns[-1] > 960 - PANEL_PX and abs(columns[0] + columns[-1] - 960) < 100, (columns[0], columns[-1])
 
 
 def test_page_headless_pictures_and_open3d_leave_it_out_too(run: Path) -> None:
     view = load_run_view(run)
     page, whole = page_of_run(view, with_photographs=False), page_of_run(view, with_photographs=False, with_surroundings=True)
-    assert len(page.splats) == TOWN_GAUSSIANS and f"the {NUM_HAZE} around the scene are hidden" in page.about
+    assert len(page.splats) == TOWN_GAUSSIANS and f"the {NUM_HAZE} around the scene (6 %) are hidden" in page.about
     assert len(whole.splats) == TOWN_GAUSSIANS + NUM_HAZE and "hidden" not in whole.about
     for name in ("splats", "cameras"):
         assert haze_share(screenshot(run, name, (640, 480))) < 0.001, name

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import codecs
 import io
+import math
 import os
 import stat
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +25,7 @@ from radiant_core.garbage import without_garbage_search
 from radiant_core.io.photos.beside import beside_warning
 from radiant_core.io.photos.copies import copies_warning, file_copies
 from radiant_core.io.photos.folders import folders_warning, read_folder, unread_warning
+from radiant_core.io.photos.jpeg import ExifFacts
 from radiant_core.io.photos.listing import doubts_warning, photograph_heads
 from radiant_core.io.run_store import open_without_waiting
 from radiant_core.plan.heights import HEIGHT_KINDS, height_codes
@@ -39,6 +42,16 @@ _ENCODINGS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (
 
 
 @dataclass(frozen=True, kw_only=True)
+class PhotographedWith:
+    """The camera of most photographs, as EXIF says."""
+
+    size_wh: tuple[int, int]
+    """px as taken."""
+    field_of_view_deg: float | None
+    """Across the image; None where EXIF has no focal length for 36 × 24 mm."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class FoundWaypoints:
     """What was read, and one sentence per kind of thing that was mended or left out."""
 
@@ -48,6 +61,8 @@ class FoundWaypoints:
     """Photographs whose EXIF and XMP have no position, in order."""
     shortfall: str | None = None
     """Which grids the file's coordinate system lacks, as among the warnings."""
+    taken_with: PhotographedWith | None = None
+    """None for a file, and where most photographs do not say it."""
 
 
 def read_waypoints(path: Path) -> FoundWaypoints:
@@ -118,7 +133,22 @@ def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = N
             *_altitude_warnings(low),
         ),
         without_gps=without,
+        taken_with=_taken_with([heads[name] for name in positions]),
     )
+
+
+def _taken_with(heads: Sequence[ExifFacts]) -> PhotographedWith | None:
+    """The size and field of view of more than half of the photographs; None without such a size."""
+    cameras = Counter((head.taken_wh, head.focal_35mm, head.digital_zoom) for head in heads)
+    ((size_wh, focal_35mm, zoom), count) = cameras.most_common(1)[0]
+    if size_wh is None or 2 * count <= len(heads):
+        return None
+    if focal_35mm is None:
+        return PhotographedWith(size_wh=size_wh, field_of_view_deg=None)
+    # Equal diagonals, as of lenses in structure from motion.
+    focal_px = focal_35mm * zoom / math.hypot(36, 24) * math.hypot(*size_wh)
+    angle_deg = math.degrees(2 * math.atan(size_wh[0] / 2 / focal_px))
+    return PhotographedWith(size_wh=size_wh, field_of_view_deg=angle_deg)
 
 
 def _folder_warnings(folder: Path) -> tuple[str, ...]:

@@ -134,9 +134,13 @@ def _save_model_picture(source: Path, view: str | None, path: Path, picture: Pic
     from radiant_app.report.progress import terminal_display
     from radiant_viewer.pictures.images import save_png
     from radiant_viewer.runs.run_pictures import model_picture
+    from radiant_viewer.runs.shown_model import model_box, shown_model
 
-    save_png(path, model_picture(given_model(source, terminal_display()).splats, picture.size_wh))
-    return f"written: {path}"
+    splats = given_model(source, terminal_display()).splats
+    save_png(path, model_picture(splats, picture.size_wh))
+    hidden = shown_model(splats, model_box(splats)).sentence
+    more = f"\nof {len(splats):,} Gaussians {hidden}: radiant render MODEL PICTURE.png --surroundings shows them" if hidden else ""
+    return f"written: {path}{more}"
 
 
 def inspect_with_open3d(source: Path, view: str | None, path: Path | None, picture: Picture = Picture()) -> int:

@@ -22,7 +22,7 @@ import numpy as np
 from radiant_app.commands.machine.exchange_time import ExchangeTime, measure_exchange
 from radiant_app.commands.machine.profiling import STAGE, DeviceSample, EdgeSample, Measured, Measuring
 from radiant_app.commands.run.demo import sample_scenes_folder
-from radiant_app.commands.run.steps import require_file_to_be, require_run, training_part
+from radiant_app.commands.run.steps import require_file_to_be, require_run, training_part, warn_of
 from radiant_app.config.run_config import ExecutionOptions
 from radiant_app.events import Listener, StageDone, StageStarted, Warned
 from radiant_app.executors.fork_server import keep_servers
@@ -113,7 +113,7 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
     source = f"radiant machine profile on {subject}, {measured.num_steps:,} steps, {joining}, {seconds:.0f} s"
     key = training_key_of(train, request.preset)
     machine = request.machine or machine_label(request.num_threads, request.num_workers)
-    return _write_profile(request.out, measured, key, machine, source, exchange)
+    return _told(_write_profile(request.out, measured, key, machine, source, exchange), listen)
 
 
 def _exchange(listen: Listener) -> ExchangeTime | None:
@@ -126,7 +126,7 @@ def _exchange(listen: Listener) -> ExchangeTime | None:
         return None
 
 
-def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str, Any]:
+def profile_of_run(run: Path, out: Path, machine: str | None = None, listen: Listener = lambda _: None) -> dict[str, Any]:
     """As `profile`, from the stage times of a finished run on this machine; BadInput for an
     emulated run, whose times are played, and for one without a trained device."""
     _require_place(out)
@@ -177,7 +177,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     merges = (EdgeSample(num_cameras=num_cameras, num_devices=len(edges), seconds=seconds),) if seconds and num_cameras else ()
     measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out, merges=merges)
     source = f"stage times of a run, {len(devices)} devices and {len(edges)} edges, run side by side as it did"
-    return _write_profile(out, measured, key, machine or machine_label(None), source)
+    return _told(_write_profile(out, measured, key, machine or machine_label(None), source), listen)
 
 
 def _epochs(node: Path) -> int | None:
@@ -248,6 +248,10 @@ def _seconds(stages: dict[str, dict[str, float]], stage: str) -> float:
     return stages[stage]["ended_s"] - stages[stage]["started_s"] if stage in stages else 0.0
 
 
+def _told(result: dict[str, Any], listen: Listener) -> dict[str, Any]:
+    return {**result, "warnings": warn_of(STAGE, result["warnings"], listen)}
+
+
 def _write_profile(
     out: Path, measured: Measured, key: ProfileKey, machine: str, source: str, exchange: ExchangeTime | None = None
 ) -> dict[str, Any]:
@@ -289,7 +293,7 @@ def _write_profile(
         "frames": frames,
         "exchange": "not measured" if exchange is None else _exchange_text(exchange),
         "check": _check(measured, joined),
-        "warnings": " ".join(_noise(fitted)) or "none",
+        "warnings": _noise(fitted),
         "profile": str(out),
     }
 

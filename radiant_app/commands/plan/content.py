@@ -84,9 +84,11 @@ def buffer_rule(text: str | None, deadline_s: float | None) -> BufferRule | None
     raise BadInput(f"--buffer is {text!r}: give a least share of the footprint such as 20%, or a distance such as 15m.")
 
 
-def content_request(ground_m: float | None, field_of_view_deg: float, buffer: str | None, deadline_s: float | None) -> ContentRequest:
+def content_request(
+    ground_m: float | None, field_of_view_deg: float | None, buffer: str | None, deadline_s: float | None
+) -> ContentRequest:
     """What the command line was asked for; BadInput where an option is none."""
-    optics = Optics(field_of_view_deg=field_of_view_deg)
+    optics = Optics() if field_of_view_deg is None else Optics(field_of_view_deg=field_of_view_deg)
     return ContentRequest(ground_m=ground_m, optics=optics, buffer=buffer_rule(buffer, deadline_s))
 
 
@@ -100,7 +102,7 @@ def content_of_waypoints(
     looks = waypoints.heading_pitch_deg
     views = views_before_capture(positions, heights_m, request.optics, looks)
     aimed = "straight down" if looks is None else "as the flight plan says, else straight down"
-    lens = f"{request.optics.field_of_view_deg:g}° across images of {1 / request.optics.aspect:.3g} : 1"
+    lens = f"{request.optics.field_of_view_deg:.4g}° across images of {1 / request.optics.aspect:.3g} : 1"
     assumed = f"assumed: ground at {waypoints.ground_m or 0.0:g} m, cameras {aimed}, {lens}"
     return _content(views, cloud, edges, system, request, assumed)
 

@@ -33,6 +33,7 @@ NOT_COMPARED = (
     "How far absolute heights lie above the ground is not known, so that the lists are not held to {highest_m:g} m above it: give --ground."
 )
 NO_COLUMN = "The lists hold no heights above take-off"
+CAMERA_OPTIONS = ("--field-of-view", "--image-width-px", "--image-height-px")
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|min|h)")
 _SECONDS = {"s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
@@ -51,11 +52,13 @@ class FlightRequest:
     limits: HeightLimits = field(default_factory=HeightLimits)
     """Heights above take-off or ground that lists may be written for."""
     drone: Drone = field(default_factory=Drone)
+    typed_camera: frozenset[str] = frozenset()
+    """The options about its camera that were typed."""
 
     @property
     def is_plain(self) -> bool:
         """Whether nothing was asked for that only flights to come have."""
-        plain = FlightRequest(drone=self.drone)
+        plain = FlightRequest(drone=self.drone, typed_camera=self.typed_camera)
         return self == plain
 
 
@@ -74,12 +77,14 @@ class DroneText(NamedTuple):
 
     speed_m_per_s: float
     battery: str
-    image_width_px: int
-    field_of_view_deg: float
+    image_width_px: int | None = None
+    field_of_view_deg: float | None = None
+    image_height_px: int | None = None
 
 
 def flight_request(whole_lines: float | None, formats: str | None, heights: HeightOptions, drone: DroneText) -> FlightRequest:
     """What the command line was asked for; BadInput where an option is none."""
+    about_images = (drone.field_of_view_deg, drone.image_width_px, drone.image_height_px)
     return FlightRequest(
         whole_lines=whole_lines,
         formats=flight_formats(formats),
@@ -89,10 +94,22 @@ def flight_request(whole_lines: float | None, formats: str | None, heights: Heig
         drone=Drone(
             speed_m_per_s=drone.speed_m_per_s,
             battery_s=battery_seconds(drone.battery),
-            image_width_px=drone.image_width_px,
-            optics=Optics(field_of_view_deg=drone.field_of_view_deg),
+            image_width_px=_width_of(drone),
+            optics=_optics_of(drone),
         ),
+        typed_camera=frozenset(name for name, value in zip(CAMERA_OPTIONS, about_images, strict=True) if value is not None),
     )
+
+
+def _width_of(drone: DroneText) -> int:
+    return Drone().image_width_px if drone.image_width_px is None else drone.image_width_px
+
+
+def _optics_of(drone: DroneText) -> Optics:
+    usual = Optics()
+    angle_deg = usual.field_of_view_deg if drone.field_of_view_deg is None else drone.field_of_view_deg
+    aspect = usual.aspect if drone.image_height_px is None else drone.image_height_px / _width_of(drone)
+    return Optics(field_of_view_deg=angle_deg, aspect=aspect)
 
 
 def flight_formats(text: str | None) -> tuple[str, ...]:

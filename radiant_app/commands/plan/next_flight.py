@@ -45,6 +45,7 @@ from radiant_core.plan.counts.wide_deadline import system_capacity
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.flight.figures import CLIMB_M_PER_S, Drone, flight_figures
 from radiant_core.plan.heights import USUAL_LIMIT_M
+from radiant_core.plan.regions.edge_sites import distant_edges
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
@@ -188,6 +189,9 @@ def _propose(
     if request.deadline_s is not None:
         in_time = views_in_time(system, len(chosen), request.deadline_s, asked=request.photographs is not None)
     for message in in_time.warnings:
+        display(Warned(stage=STAGE, message=message))
+    frame = known_map.survey.run.scene.frame
+    for message in distant_edges(system, frame.origin_lat_lon_alt if frame.kind == "metric" else None):
         display(Warned(stage=STAGE, message=message))
     flights = _within_batteries(request, in_time.system, air, candidates, chosen[: in_time.num_views], known_map)
     _tell(request, in_time, candidates, flights, display)

@@ -7,10 +7,7 @@ first and moved when the last is whole.
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +16,7 @@ import numpy as np
 
 from radiant_app.commands.plan.content import ContentRequest, PlanContent, content_of_scene, content_of_waypoints
 from radiant_app.commands.plan.flight import FlightRequest, as_listed, flight_rows, heights_to_fly, lines_text, write_routes
+from radiant_app.commands.plan.optics import with_camera
 from radiant_app.commands.plan.pictures import (
     ENDINGS,
     GANTT,
@@ -33,11 +31,11 @@ from radiant_app.commands.plan.pictures import (
     side_pictures,
 )
 from radiant_app.commands.plan.tables import method_row
-from radiant_app.commands.run.steps import require_file_to_be, stage_bar, training_part
+from radiant_app.commands.run.steps import require_file_to_be, stage_bar, training_part, warn_of
 from radiant_app.config.run_config import RunConfig, TrainOptions
 from radiant_app.events import Decided, Event
 from radiant_app.files.constraints_file import load_constraints
-from radiant_app.files.out_folder import folder_made_for
+from radiant_app.files.out_folder import folder_made_for, write_folder_atomically
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cloud_planning import place_edges_by_raster, raster_decision
@@ -179,9 +177,13 @@ def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
     with stage_bar(display, "plan") as report:
         report(0, len(PHASES), PHASES[0])
         if _is_scene(request.source):
-            return _plan_scene(request, system, report)
-        source_waypoints = _positions_of(request.source, report, flies=not request.flight.is_plain)
-        return _plan_waypoints(request, system, source_waypoints, report)
+            result = _plan_scene(request, system, report)
+        else:
+            source_waypoints = _positions_of(request.source, report, flies=not request.flight.is_plain)
+            content, flight, decision = with_camera(request.content, request.flight, source_waypoints)
+            display(Decided(decision=decision))
+            result = _plan_waypoints(replace(request, content=content, flight=flight), system, source_waypoints, report)
+    return {**result, "warnings": warn_of("plan", result["warnings"], display)}
 
 
 def _require_nothing_to_fly(request: PlanRequest) -> None:
@@ -438,7 +440,7 @@ def _raster_note(cell_m: float, plan: CloudPlan) -> str:
 
 def _summary(out: Path, draft: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
     cloud, warnings = draft.cloud, (*warnings, *draft.warnings)
-    training = " ".join(f"{one.choice} ({one.figure:.1f} {one.unit}): {one.reason}." for one in draft.training)
+    training = tuple(f"{one.choice} ({one.figure:.1f} {one.unit}): {one.reason}." for one in draft.training)
     idle = idle_reasons(cloud, draft.edges, draft.system)
     later = [plan.edge_id for plan in draft.edges if not plan.dealt]
     if later:
@@ -459,7 +461,7 @@ def _summary(out: Path, draft: _Plan, warnings: tuple[str, ...]) -> dict[str, An
         "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),
         **({} if draft.cut is None else {"cut": f"{draft.cut.choice}: {draft.cut.reason}"}),
         **({"training": training} if training else {}),
-        "warnings": " ".join(warnings) or "none",
+        "warnings": warnings,
         "plan": str(out),
         "picture": str(sibling(out, MAP)),
         "gantt": str(sibling(out, GANTT)),
@@ -478,23 +480,3 @@ def _require_places(out: Path) -> None:
         raise BadInput(f"{out} is no name for a plan: choose one that ends in .json; the picture goes beside it as .png.")
     for path in (out, *(sibling(out, ending) for ending in ENDINGS)):
         require_file_to_be(path)
-
-
-@contextmanager
-def write_folder_atomically(target: Path) -> Iterator[Path]:
-    """A hidden folder inside `target` whose content moves there when the block ends well, and
-    vanishes when it does not."""
-    folder = Path(tempfile.mkdtemp(prefix=".plan.", dir=target))
-    try:
-        yield folder
-        # The plan itself last: where it stands, everything else does.
-        ordered = sorted(folder.iterdir(), key=lambda path: path.suffix == ".json")
-        try:
-            for path in ordered:
-                path.rename(target / path.name)
-        except BaseException:
-            for path in (target / path.name for path in ordered):
-                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-            raise
-    finally:
-        shutil.rmtree(folder)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 from radiant_app.commands.plan.costs import costed_by_training
 from radiant_app.commands.plan.flight import NO_COLUMN
 from radiant_app.commands.plan.pictures import GANTT, LISTS, MAP, REGIONS, SYSTEM, sibling
-from radiant_app.commands.plan.plan import write_folder_atomically
-from radiant_app.commands.run.steps import require_file_to_be, stage_bar, training_part
-from radiant_app.files.out_folder import folder_made_for
+from radiant_app.commands.run.steps import require_file_to_be, stage_bar, training_part, warn_of
+from radiant_app.files.out_folder import folder_made_for, write_folder_atomically
 from radiant_app.files.run_folder import Manifest, read_manifest
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, measured_seconds
@@ -39,7 +38,7 @@ from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.run_store import write_atomic
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
-from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.edge_sites import distant_edges, place_edges
 from radiant_core.plan.revision.captured import nearest_planned, require_same_system
 from radiant_core.plan.revision.replan import FleetChange, Replan, ReplanInfeasible, extend_system, replan
 from radiant_core.plan.system import System
@@ -110,6 +109,8 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
     places = before.cloud.places_of(before.positions[:, :2])
     placed = place_edges(_grow_system(before, joining), places, before.origin, request.seed)
     placed, warnings = costed_by_training(placed, len(before.positions))
+    # Of edges that were there, the place in the plan is used.
+    warnings = (*warnings, *(() if joining is None else distant_edges(joining, before.origin)))
     old, joined = _split_system(placed, before.system)
     positions = before.positions[:, :2]
     with stage_bar(display, "replan") as report:
@@ -121,7 +122,8 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
             raise BadInput(f"replan: {new.reason}")
         report(1, 2, "writing")
         _write(request.out, before, new)
-    return _summary(request.out, before, new, (*warnings, *before.warnings))
+    result = _summary(request.out, before, new, (*warnings, *before.warnings))
+    return {**result, "warnings": warn_of("replan", result["warnings"], display)}
 
 
 def _grow_system(before: _Before, joining: System | None) -> System:
@@ -198,7 +200,7 @@ def _read_run(request: ReplanRequest) -> _Before:
         origin=origin,
         waypoints=None,
         names=scene.cameras.names,
-        warnings=_warn_undelivered(dealt, edges),
+        warnings=(*_warn_undelivered(dealt, edges), *_warn_delivered(request.change.dead - change.dead)),
     )
 
 
@@ -216,6 +218,11 @@ def _warn_undelivered(dealt: Sequence[EdgePlan], delivered: Sequence[EdgePlan]) 
     lost = {device: len(plan.cameras_of(device)) for plan in dealt for device in plan.device_ids if not arrived.get(device)}
     names = [f"{device} ({count})" for device, count in lost.items() if count]
     return (f"Not in this plan are the photographs that never arrived, of {', '.join(names)}: have them taken again.",) if names else ()
+
+
+def _warn_delivered(names: Collection[str]) -> tuple[str, ...]:
+    """A sentence about dead machines of which nothing is missing."""
+    return (f"Nothing changes by the loss of {', '.join(sorted(names))}, whose models have arrived.",) if names else ()
 
 
 def _add_progress(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], change: FleetChange) -> FleetChange:
@@ -316,7 +323,7 @@ def _summary(out: Path, before: _Before, new: Replan, more: tuple[str, ...]) -> 
         "lower_bound_s": new.cloud.lower_bound_s,
         "status": new.cloud.status,
         "fewest_moves_proved": new.fewest_proved,
-        "warnings": " ".join(warnings) or "none",
+        "warnings": warnings,
         "plan": str(out),
         "picture": str(sibling(out, MAP)),
         "gantt": str(sibling(out, GANTT)),

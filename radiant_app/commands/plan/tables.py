@@ -8,6 +8,7 @@ from typing import Any
 
 from radiant_app.commands.plan.content import border_table
 from radiant_app.commands.plan.flight import flight_table
+from radiant_app.report.figure_words import figure_lines
 from radiant_core.plan.baselines import ComparedPlan
 
 
@@ -38,15 +39,10 @@ def plan_tables(result: dict[str, Any]) -> list[str]:
     return [*costs, *(aligned(result[name]) for name, aligned in tables if result.get(name))]
 
 
-_LENGTHS, _AREAS = ("resolution", "take_off"), ("surface", "hole_ground", "hole_walls", "weak_ground", "weak_walls")
-
-
 def next_flight_lines(result: dict[str, Any], run: Path) -> list[str]:
     """A map of what is known and the flight over it, if any, in lines with units, and what to do
     next."""
-    unit = result["unit"]
-    units = {**dict.fromkeys(_LENGTHS, f" {unit}"), **dict.fromkeys(_AREAS, f" {unit}²"), "margin_db": " dB"}
-    lines = [f"{key}: {value}{units.get(key, '')}" for key, value in result.items() if key not in ("unit", "flight")]
+    lines = list(figure_lines(result))
     for row in result.get("flight", ()):
         trains = f", trained in {row['training_s']:g} s" if "training_s" in row else ""
         batteries = "battery" if row["batteries"] == 1 else "batteries"

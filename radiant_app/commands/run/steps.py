@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from radiant_app.events import Listener, StageProgress, StageStarted
+from radiant_app.events import Listener, StageProgress, StageStarted, Warned
 from radiant_app.files.out_folder import require_folder_for
 from radiant_app.files.run_folder import sfm_folder
 from radiant_app.report.progress import ProgressDisplay
@@ -48,6 +48,7 @@ def sfm(  # noqa: PLR0913
     task = sfm_task(source, config, masks, Placement(**(placement or {})), poses, refine_poses=refine_poses, intake=intake)
     with display:
         result = reconstruct_into(out, task, display, resume=resume)
+        warn_of("sfm", result.warnings, display)
     return {
         "cameras": len(result.scene.cameras),
         "points": len(result.scene.points),
@@ -59,6 +60,14 @@ def sfm(  # noqa: PLR0913
         "warnings": "; ".join(result.warnings) or "none",
         "folder": str(out),
     }
+
+
+def warn_of(stage: str, messages: Iterable[str], listen: Listener) -> str:
+    """Show each warning by itself, and return all of them for `--json`."""
+    told = list(messages)
+    for message in told:
+        listen(Warned(stage=stage, message=message))
+    return " ".join(told) or "none"
 
 
 def reconstruct_into(out: Path, task: SfmTask, listen: Listener, *, resume: bool = False) -> SfmResult:

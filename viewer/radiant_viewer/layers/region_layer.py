@@ -73,7 +73,7 @@ def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: f
 def border_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
     """Return the lines of the regions' borders alone, to draw over strips or points."""
     sides = outline_segments([at_height(border, height) for border in cloud_plan.borders])
-    text = "Border between regions" if sum(len(border) > 0 for border in cloud_plan.borders) > 1 else "Border of the region"
+    text = "Border of a region" if sum(len(border) > 0 for border in cloud_plan.borders) > 1 else "Border of the region"
     return Layer(
         name="Borders",
         segments=sides,

@@ -122,7 +122,7 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
     colors = np.where(has_value[:, None], heat_colors(levels, low, high), np.array(GREY, np.uint8))
     ends = np.concatenate([pieces.ends, np.full((len(pieces.ends), 2, 1), height)], axis=2)
     unknown = int((~has_value).sum())
-    missing = (LegendEntry(text=f"No figure ({unknown} of {len(has_value)} pieces)", color=GREY, marker="line"),)
+    missing = (LegendEntry(text=f"Not observed ({unknown} of {len(has_value)} pieces)", color=GREY, marker="line"),)
     return Layer(
         name="Seams",
         segments=ends,

@@ -48,15 +48,15 @@ class PageText:
     """Unit of the world coordinates: "m", or "units" where nothing fixes the scale."""
 
 
-def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool) -> tuple[int, int]:
-    """Return the px that a page of `size_wh` leaves for the drawing; BadInput for a small page that
-    is not `PHONE_SIZE_WH`."""
+def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool, has_legend: bool = True) -> tuple[int, int]:
+    """Return the px that a page of `size_wh` leaves for the drawing, without a legend up to the
+    right margin; BadInput for a small page that is not `PHONE_SIZE_WH`."""
     if size_wh == PHONE_SIZE_WH:
         return size_wh[0] - PHONE_LEFT_PX - GAP_PX, size_wh[1] - TITLE_PX - BOTTOM_PX - PHONE_LEGEND_PX
     if size_wh[0] < MIN_SIZE_WH[0] or size_wh[1] < MIN_SIZE_WH[1]:
         raise BadInput(f"a page of {size_wh[0]} × {size_wh[1]} px was asked for, expected at least {MIN_SIZE_WH[0]} × {MIN_SIZE_WH[1]}.")
     left, bottom = (LEFT_PX, BOTTOM_PX) if is_map else (GAP_PX, GAP_PX)
-    return size_wh[0] - PANEL_PX - left - GAP_PX, size_wh[1] - TITLE_PX - bottom
+    return size_wh[0] - PANEL_PX * has_legend - left - GAP_PX, size_wh[1] - TITLE_PX - bottom
 
 
 def compose_page(drawing: Drawing, layers: Sequence[Layer], size_wh: tuple[int, int], text: PageText) -> Image:

@@ -8,6 +8,7 @@ largest ratio of step to detectable step, times coverage. O(N), once per picture
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -65,6 +66,11 @@ class BorderFigures:
         return np.where(self.levels < self.limits, 0.0, self.levels)
 
     @property
+    def largest_piece_levels(self) -> float:
+        """The largest step of a piece above texture, as borders are coloured; 0 without any."""
+        return float(np.nanmax(self.levels_above_texture, initial=0.0))
+
+    @property
     def observed_length(self) -> float:
         """Length of the pieces that have a figure, in the frame's unit."""
         return float(np.linalg.norm(self.ends[:, 1] - self.ends[:, 0], axis=1)[self.observed].sum())
@@ -90,7 +96,7 @@ class BorderFigures:
         """The verdict in words."""
         if not self.has_verdict:
             return "none: too little observed"
-        return "step told from texture" if self.has_step else f"no step of {self.detectable_levels:.0f} levels or more told"
+        return "step told from texture" if self.has_step else f"no step of {math.ceil(self.detectable_levels)} levels or more told"
 
     @property
     def median_levels(self) -> float:

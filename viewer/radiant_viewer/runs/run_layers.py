@@ -108,7 +108,7 @@ def figures_layer(scene: SfmScene, cloud_plan: CloudPlan, figures: Sequence[Bord
         ends=np.concatenate([one.ends for one in figures]),
         edge_pairs=np.concatenate([np.tile([one.border.first, one.border.second], (len(one.ends), 1)) for one in figures]),
     )
-    label = f"Levels over texture, in bands of {seam_band_width(cloud_plan):.3g} {scene.frame.unit}"
+    label = f"Levels over texture, in pieces of {seam_band_width(cloud_plan):.3g} {scene.frame.unit}"
     levels = np.concatenate([one.levels_above_texture for one in figures])
     return seam_layer(pieces, levels, label, ground_height(scene), 2 * VISIBLE_LEVELS)
 

@@ -34,7 +34,8 @@ from radiant_viewer.charts.charts import comparison_picture
 from radiant_viewer.layers.camera_layer import camera_layer
 from radiant_viewer.layers.camera_roles import CameraRoles, camera_roles
 from radiant_viewer.layers.forecast_layer import buffer_layer, forecast_layers
-from radiant_viewer.layers.layer import Label, Layer, framing_positions
+from radiant_viewer.layers.layer import Label, Layer, LegendEntry, framing_positions
+from radiant_viewer.layers.palette import INK
 from radiant_viewer.layers.region_layer import border_layer, duration_text, edge_site_layer, region_layer, strip_layer
 from radiant_viewer.layers.splat_layer import sparse_point_layer
 from radiant_viewer.layers.waypoint_layer import waypoint_layer
@@ -192,7 +193,9 @@ def seams_picture(
     labels = tuple(_finding_label(finding, ground) for finding in findings if finding.has_seam)
     # Labels of seams are placed before those of edges.
     seams = replace(figures_layer(scene, cloud_plan, [finding.figures for finding in findings]), labels=labels)
-    layers = [border_layer(cloud_plan, ground), seams, edge_site_layer(cloud_plan, ground)]
+    # Seams cover the borders between regions.
+    outline = replace(border_layer(cloud_plan, ground), legend=(LegendEntry(text="Outer border", color=INK, marker="line"),))
+    layers = [outline, seams, edge_site_layer(cloud_plan, ground)]
     drawing = draw_ground_map(layers, splats, drawing_size_wh(size_wh, is_map=True))
     return compose_page(drawing, layers, size_wh, PageText(title="Seams", subtitle=verdict_text(findings, unit), unit=unit))
 
@@ -207,7 +210,7 @@ def worst_border(run: RunView) -> Border:
 
 def _finding_label(finding: SeamFinding, ground: float) -> Label:
     border = finding.figures.border
-    step = [f"{finding.figures.step_levels:.0f} levels"] if finding.figures.has_step else []
+    step = [f"{finding.figures.step_levels:.0f} levels overall"] if finding.figures.has_step else []
     excess = [] if finding.excess_db is None else [f"{finding.excess_db:+.1f} dB of error beyond it"]
     text = f"{finding.figures.title}\nseam: {', '.join([*step, *excess])}"
     # Beside the line, so that it does not hide it.
@@ -223,7 +226,7 @@ def splats_picture(
     ground = ground_height(scene)
     has_regions = any(len(border) for border in cloud_plan.borders)
     layers = [border_layer(cloud_plan, ground), _region_names(cloud_plan, ground)] if has_regions else []
-    room_wh = drawing_size_wh(size_wh, is_map=False)
+    room_wh = drawing_size_wh(size_wh, is_map=False, has_legend=has_regions)
     if camera is None:
         view = fit_camera(framed_positions(scene, cloud_plan), room_wh)
         visible = shown_model(splats, framed_box(scene, cloud_plan))
@@ -245,7 +248,8 @@ def model_picture(splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
     box = model_box(splats)
     model = shown_model(splats, box)
     subtitle = _model_text(splats, model.sentence)
-    drawing = draw_splat_view([], model.splats, fit_camera(box_corners(box), drawing_size_wh(size_wh, is_map=False)))
+    room_wh = drawing_size_wh(size_wh, is_map=False, has_legend=False)
+    drawing = draw_splat_view([], model.splats, fit_camera(box_corners(box), room_wh))
     # A model alone has no unit.
     return compose_page(drawing, [], size_wh, PageText(title="Model", subtitle=subtitle, unit="units"))
 

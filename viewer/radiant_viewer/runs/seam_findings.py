@@ -8,6 +8,7 @@ absence. O(N) for the steps.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,8 +57,8 @@ def proven_excess_db(folder: Path) -> dict[frozenset[str], float]:
 
 
 def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
-    """Return the verdict on all borders with their observed length, and the largest step beside its
-    texture."""
+    """Return the verdict on all borders with their observed length, and the largest step of one
+    beside its texture and of a piece, which has the brightest colour."""
     judged = [finding.figures for finding in findings if finding.figures.has_verdict]
     num_seams = sum(finding.has_seam for finding in findings)
     if not judged and not num_seams:
@@ -68,11 +69,13 @@ def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
     verdict = (
         f"Seam found at {num_seams} of {len(findings)} border{'s' * (len(findings) != 1)}"
         if num_seams
-        else f"No step of {limit:.0f} levels of 255 or more could be told from texture"
+        else f"No step of {math.ceil(limit)} levels of 255 or more could be told from texture"
     )
     observed = sum(figures.observed_length for figures in judged)
     total = sum(finding.figures.border.length_m for finding in findings)
-    return f"{verdict}; observed: {observed_text(observed, total, unit)}   ·   largest: {judged[0].title}, {_beside_texture(judged[0])}"
+    largest = f"largest over a border: {judged[0].title}, {_beside_texture(judged[0])}"
+    piece = max(finding.figures.largest_piece_levels for finding in findings)
+    return f"{verdict}; observed: {observed_text(observed, total, unit)}   ·   {largest}; over a piece: up to {piece:.1f}"
 
 
 def excess_text(folder: Path) -> str:

@@ -51,7 +51,7 @@ class ShownModel:
     @property
     def sentence(self) -> str:
         """What is hidden, for a page; empty where that is nothing."""
-        return f"the {int(self.around.sum()):,} around the scene are hidden" if self.around.any() else ""
+        return f"the {int(self.around.sum()):,} around the scene ({100 * self.around.mean():.0f} %) are hidden" if self.around.any() else ""
 
 
 def shown_model(splats: Splats, box: FloatArray) -> ShownModel:
