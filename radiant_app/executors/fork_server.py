@@ -424,7 +424,8 @@ def main(requests: str, *names: str) -> None:
             import_module(name)
         # A fork copies every page that it writes to, and collecting garbage writes to all of them.
         gc.freeze()
-    # One that ends as Python does takes nothing of libraries apart: for torch's operators, 30 ms of CPU time.
+    # One that ends as Python does takes nothing of libraries apart, which for torch's operators
+    # is 30 ms of CPU time.
     for made in [*weakref.finalize._registry]:  # pyright: ignore[reportAttributeAccessIssue]
         made.atexit = False
     serve(socket.socket(fileno=int(requests)))

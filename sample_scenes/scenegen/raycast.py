@@ -47,8 +47,7 @@ def layout_of(config: SceneConfig) -> Layout:
 
 
 def town_of(config: SceneConfig) -> Mesh:
-    """The mesh of the scene, with its altered houses; scenes that differ in their flight alone share
-    it."""
+    """The mesh of the scene, with its altered houses; flights over one town share it."""
     if config.flight in _STAGES:
         return _STAGES[config.flight](config.seed)
     return town_mesh(layout_of(config), config.altered_houses)
