@@ -35,6 +35,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from tests import forked, whole_files
 from tests.cpu_seconds import CpuSeconds
+from tests.memory_folder import root_in_memory
 
 pytest.MonkeyPatch().setattr(local, "LEAST_FORKED", 1)
 pytest.MonkeyPatch().setattr(local, "open_server", forked.open_server_of_tests)
@@ -51,6 +52,9 @@ hypothesis.settings.load_profile("radiant")
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # Tests of stress write more than memory holds, and measure it.
+    if config.getoption("markexpr") == "not stress" and (root := root_in_memory()):
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(root))
     config.pluginmanager.register(CpuSeconds(), "cpu seconds")
     config.pluginmanager.register(whole_files, "whole files")
 

@@ -19,6 +19,7 @@ from tests.forked import run_module
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("0*.py"))
 MAX_LINES = 40
+BLANK = "tests.app.blank_process"
 
 
 @pytest.fixture(scope="module")
@@ -39,18 +40,23 @@ def test_an_example_makes_its_picture(path: Path, hamlet_scene: Path, hamlet_pro
     if path == EXAMPLES[0]:
         environment["PYTHONPATH"] = str(ROOT)
         result = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, env=environment, timeout=600, check=False)
-    else:  # The others are forks of a process that has imported the libraries.
-        result = run_module("tests.run_code", path, cwd=ROOT, environment=environment, timeout_s=600)
+    else:  # The others are forks of a process that has imported the libraries, and leave pictures of reports blank.
+        code = f"import runpy, sys, {BLANK}; sys.path.insert(0, {str(path.parent)!r}); runpy.run_path({str(path)!r}, run_name='__main__')"
+        result = run_module("tests.run_code", "-c", code, cwd=ROOT, environment=environment, timeout_s=600)
     assert result.returncode == 0, result.stderr[-3000:]
     picture = cv2.imread(str(out / f"{path.stem}.png"))
     # A picture of something: neither missing nor of one colour.
     assert picture is not None and float(np.std(picture)) > 5
 
 
-def test_the_notebook_shows_plan_model_and_seams_inline(hamlet_project: Path, out: Path) -> None:
+def test_the_notebook_shows_plan_model_and_seams_inline(hamlet_project: Path, out: Path, tmp_path: Path) -> None:
     notebook = nbformat.read(ROOT / "examples/plan_model_seams.ipynb", as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "clear the outputs before it is committed"
+    startup = tmp_path / "profile_default" / "startup"
+    startup.mkdir(parents=True)
+    (startup / "blank.py").write_text(f"import {BLANK}\n")
     environment = {**os.environ, "OUT": str(out), "PHOTOGRAPHS": str(hamlet_project), "SMALL": "1", "PYTHONPATH": str(ROOT)}
+    environment["IPYTHONDIR"] = str(tmp_path)
     NotebookClient(notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(ROOT / "examples")}}).execute(
         env=environment
     )

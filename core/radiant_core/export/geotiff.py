@@ -158,23 +158,27 @@ def _halved_tiles(page: TiffPage, raster: TiledRaster, half: TiledRaster) -> Ite
 
 def halved(fine: NDArray[Any], raster: TiledRaster) -> NDArray[Any]:
     """Cells (2T,2T,B) of a raster at half the size (T,T,B), by what is known of each four."""
-    side = fine.shape[0] // 2
-    fours = fine.reshape(side, 2, side, 2, -1).swapaxes(1, 2).reshape(side, side, 4, -1).astype(np.float64)
-    has_value = fours[..., 3:4] > 0 if raster.colors else np.ones_like(fours[..., :1], bool)
-    if raster.no_data is not None:
-        has_value = has_value & (fours[..., :1] != raster.no_data)
-    weights = np.broadcast_to(has_value.astype(np.float64), fours.shape).copy()
-    if raster.colors:
-        weights[..., :3] *= fours[..., 3:4]
-        weights[..., 3] = 1.0
-    total = weights.sum(axis=2)
-    coarse = np.divide((weights * fours).sum(axis=2), total, out=np.zeros_like(total), where=total > 0)
-    first = np.take_along_axis(fours, has_value.argmax(axis=2)[:, :, None, :1], axis=2)[:, :, 0]
+    fours = [fine[y::2, x::2].astype(np.float64) for y, x in product((0, 1), (0, 1))]
+    known = [_is_known(cells, raster) for cells in fours]
+    total, weighted = np.zeros_like(fours[0]), np.zeros_like(fours[0])
+    for cells, is_known in zip(fours, known, strict=True):
+        weights = np.repeat(is_known[..., None].astype(np.float64), cells.shape[2], axis=2)
+        if raster.colors:
+            weights[..., :3] *= cells[..., 3:4]
+            weights[..., 3] = 1.0
+        total += weights
+        weighted += weights * cells
+    coarse = np.divide(weighted, total, out=np.zeros_like(total), where=total > 0)
     for band in raster.classes:
-        coarse[..., band] = first[..., band]
+        coarse[..., band] = np.select(known, [cells[..., band] for cells in fours], fours[0][..., band])
     if raster.no_data is not None:
-        coarse[(~has_value[..., 0]).all(axis=2)] = raster.no_data
+        coarse[~np.logical_or.reduce(known)] = raster.no_data
     return np.rint(coarse).astype(raster.dtype) if raster.dtype is np.uint8 else coarse.astype(raster.dtype)
+
+
+def _is_known(cells: NDArray[np.float64], raster: TiledRaster) -> NDArray[np.bool_]:
+    is_known = cells[..., 3] > 0 if raster.colors else np.ones(cells.shape[:2], bool)
+    return is_known if raster.no_data is None else is_known & (cells[..., 0] != raster.no_data)
 
 
 def _tile_of(page: TiffPage, index: int) -> NDArray[Any]:
