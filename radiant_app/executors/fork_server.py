@@ -31,7 +31,6 @@ import socket
 import subprocess
 import sys
 import threading
-import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -424,10 +423,6 @@ def main(requests: str, *names: str) -> None:
             import_module(name)
         # A fork copies every page that it writes to, and collecting garbage writes to all of them.
         gc.freeze()
-    # One that ends as Python does takes nothing of libraries apart, which for torch's operators
-    # is 30 ms of CPU time.
-    for made in [*weakref.finalize._registry]:  # pyright: ignore[reportAttributeAccessIssue]
-        made.atexit = False
     serve(socket.socket(fileno=int(requests)))
 
 

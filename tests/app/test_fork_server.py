@@ -105,14 +105,6 @@ sys.exit(3)
     assert in_words.wait() == 1
 
 
-def test_a_fork_takes_apart_what_it_has_made_and_nothing_of_the_libraries_of_its_server(start: Start, tmp_path: Path) -> None:
-    lines = "import weakref\nclass Made: pass\nmade = Made()\nweakref.finalize(made, print, {!r})\n"
-    (tmp_path / "played_library.py").write_text(lines.format("of the library"))
-    process = start("import played_library\n" + lines.format("of the fork"), names=("played_library",))
-    assert process.stdout is not None and process.stdout.read() == "of the fork\n"
-    assert process.wait() == 0
-
-
 def test_an_error_and_a_signal_end_it_as_they_end_any_process(start: Start, tmp_path: Path) -> None:
     assert start("raise ValueError('played')").wait() == 1
     assert "ValueError: played" in (tmp_path / "log.txt").read_text()
