@@ -134,7 +134,9 @@ def fused_mesh(
     for view in views:
         blocks = _seen_blocks(grid, view, max_depth)
         image = o3d.t.geometry.Image(_tensor(np.asarray(view.image, np.float32) / 255))
-        depth, K, pose = _depth_tensors(view)
+        depth, pose = _depth_tensors(view)
+        # A voxel takes the pixel whose number is its place rounded down: centres at 0.5, as ours.
+        K = _tensor(view.K)
         grid.integrate(blocks, depth, image, K, K, pose, 1.0, max_depth, TRUNCATION_VOXELS)
     mesh = _weld_mesh(_pieces(grid, voxel, blocks_at_once))
     if len(mesh.triangles):
@@ -166,17 +168,18 @@ def _empty_grid(voxel: float, num_blocks: int) -> Any:
     return new_grid(*attributes, voxel, BLOCK_VOXELS, max(1, num_blocks), core.Device("CPU:0"))
 
 
-def _depth_tensors(view: DepthView) -> tuple[Any, Any, Any]:
-    """A view's depth, K and cam_from_world as Open3D takes them."""
+def _depth_tensors(view: DepthView) -> tuple[Any, Any]:
+    """A view's depth and cam_from_world as Open3D takes them."""
     import open3d as o3d
 
-    depth = o3d.t.geometry.Image(_tensor(view.depth[..., None].astype(np.float32)))
-    # Open3D's first pixel centre is at 0, ours at 0.5.
-    return depth, _tensor(view.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])), _tensor(view.cam_from_world)
+    return o3d.t.geometry.Image(_tensor(view.depth[..., None].astype(np.float32))), _tensor(view.cam_from_world)
 
 
 def _seen_blocks(grid: Any, view: DepthView, max_depth: float) -> Any:
-    return grid.compute_unique_block_coordinates(*_depth_tensors(view), 1.0, max_depth, TRUNCATION_VOXELS)
+    depth, pose = _depth_tensors(view)
+    # Where Open3D turns a pixel into a ray, the first centre is at 0, ours at 0.5.
+    K = _tensor(view.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]))
+    return grid.compute_unique_block_coordinates(depth, K, pose, 1.0, max_depth, TRUNCATION_VOXELS)
 
 
 def _pieces(grid: Any, voxel: float, blocks_at_once: int) -> Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]]:

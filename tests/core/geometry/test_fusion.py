@@ -46,6 +46,35 @@ def test_a_mesh_made_in_pieces_is_the_mesh_made_in_one() -> None:
     assert len(pieces.vertices) == len(whole.vertices)
 
 
+def steep_plane(slope: tuple[float, float]) -> Mesh:
+    """z = 5 + slope · (x, y), seen twice at fx = 100 px; what is right of pixel 95 is white."""
+    K = np.array([[100.0, 0, 80], [0, 100, 60], [0, 0, 1]])
+    rays = np.stack(np.meshgrid((np.arange(160) + 0.5 - 80) / 100, (np.arange(120) + 0.5 - 60) / 100), axis=-1)
+    depth = (5 / (1 - rays @ slope)).astype(np.float32)
+    image = np.zeros((120, 160, 3), np.uint8)
+    image[:, 95:] = 255
+    view = DepthView(image=image, depth=np.where(depth < 9, depth, 0), K=K, cam_from_world=np.eye(4))
+    return fused_mesh([view, view], 0.04, 10.0)
+
+
+@pytest.mark.parametrize("slope", [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
+def test_a_steep_plane_is_fused_where_it_lies(slope: tuple[float, float]) -> None:
+    points = steep_plane(slope).vertices
+    off_px = 100 / points[:, 2] * (points[:, 2] - 5 - points[:, :2] @ slope) / sum(slope)
+    # A voxel is 0.4 to 1.5 px; K off by half a pixel moves the plane along its slope by that much.
+    assert len(off_px) > 10_000 and abs(np.median(off_px)) < 0.1
+
+
+@pytest.mark.parametrize("slope", [(0.0, 1.0), (0.0, -1.0)])
+def test_colors_lie_where_their_pixels_look(slope: tuple[float, float]) -> None:
+    mesh = steep_plane(slope)
+    from_edge_px = 100 * mesh.vertices[:, 0] / mesh.vertices[:, 2] + 80 - 95
+    white = mesh.colors[:, 0] > 127
+    sides_px = [np.median(from_edge_px[(np.abs(from_edge_px) < 2) & side]) for side in (white, ~white)]
+    # Two pixels of each side: their medians are 1 and -1, and 1.25 and -0.73 half a pixel away.
+    assert sides_px == pytest.approx([1, -1], abs=0.1)
+
+
 def test_what_does_not_fit_is_coarsened_or_refused_with_what_would() -> None:
     few = FusionSettings(voxel=0.25, is_fixed=False, max_depth=MAX_DEPTH_M, max_blocks=40)
     told: list[tuple[int, int]] = []
