@@ -53,14 +53,14 @@ def profile(name: str) -> str:
 
 
 def dealt(folder: Path, system: Path, *options: str) -> tuple[list[int], str]:
-    """Waypoints of each device, and what the terminal says."""
+    """Waypoints of each device, and what the terminal says: results, then messages."""
     rows = [f"{47.37 + 1e-4 * (k // 20):.6f},{8.54 + 1e-4 * (k % 20):.6f},60" for k in range(WAYPOINTS)]
     (folder / "flight.csv").write_text("latitude,longitude,altitude(m)\n" + "\n".join(rows) + "\n")
     out = folder / "plan" / "plan.json"
     result = CliRunner().invoke(app, ["plan", str(folder / "flight.csv"), "--system", str(system), "--out", str(out), *options])
     assert result.exception is None, result.exception
     _, edges = load_plan(out)
-    return [len(plan.cameras_of(name)) for plan in edges for name in plan.device_ids], result.output
+    return [len(plan.cameras_of(name)) for plan in edges for name in plan.device_ids], result.stdout + result.stderr
 
 
 @pytest.mark.parametrize(("preset", "options"), TRAININGS, ids=lambda value: " ".join(value) if isinstance(value, tuple) else value)

@@ -309,7 +309,9 @@ def test_sfm_gives_one_object_with_lists_and_a_log_of_its_own(tmp_path: Path) ->
         (tmp_path / name).symlink_to(sample_scenes_folder() / "hamlet" / target)
     command = [sys.executable, "-m", "radiant_app", "sfm", str(tmp_path), "--out", str(tmp_path / "scene"), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout)["unregistered"] == [] and done.stderr == ""
+    told = json.loads(done.stdout)
+    assert told["unregistered"] == [] and told["warnings"] != "none"
+    assert "; ".join(line.removeprefix("warning sfm: ") for line in done.stderr.splitlines()) == told["warnings"]
     assert (tmp_path / "scene" / "log.txt").is_file()
 
 

@@ -110,7 +110,7 @@ def test_setup_says_size_and_time_before_it_downloads(tmp_path: Path) -> None:
     path = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
     said = subprocess.run(["./setup.sh"], cwd=tmp_path, capture_output=True, text=True, check=True, env=path).stdout
     before, _, after = said.partition("python -m pip install --editable")
-    assert all(word in before for word in ("GB to download", "GB on disk", "minutes", "Building editable")), before
+    assert all(word in before for word in ("1.1 GB", "to download", "GB on disk", "minutes", "Building editable")), before
     assert "setup.sh: done" in after
     again = subprocess.run(["./setup.sh"], cwd=tmp_path, capture_output=True, text=True, check=True, env=path).stdout
     assert again.splitlines() == ["setup.sh: done; try .venv/bin/radiant --help"]

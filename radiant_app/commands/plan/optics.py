@@ -27,13 +27,14 @@ def with_camera(content: ContentRequest, flight: FlightRequest, source: FoundWay
         angle_deg, assumed = taken.field_of_view_deg, assumed - {ANGLE_OPTION}
     optics = Optics(field_of_view_deg=angle_deg, aspect=height_px / width_px)
     known = "as asked for" if typed else "EXIF of most photographs says so"
+    in_part = "" if assumed == set(CAMERA_OPTIONS) else " in part"
     decision = Decision(
         stage="plan",
         topic="camera",
         choice=f"{angle_deg:.1f}° across images of {width_px:,} × {height_px:,} px",
         figure=angle_deg,
         unit="°",
-        reason=f"assumed in part, unless you give {', '.join(sorted(assumed))}" if assumed else known,
+        reason=f"assumed{in_part}, unless you give {', '.join(sorted(assumed))}" if assumed else known,
         otherwise=", ".join(CAMERA_OPTIONS),
         forced=bool(typed),
         changes_nothing=not _is_used(content, flight, source),
