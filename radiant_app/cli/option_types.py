@@ -167,11 +167,11 @@ SpeedOption = Annotated[
 BatteryOption = Annotated[str, typer.Option(help="Time in the air on one battery, without the reserve.", rich_help_panel=FLIGHT)]
 ImageWidthOption = Annotated[
     int | None,
-    typer.Option("--image-width-px", min=16, help="Width of the images; by default by EXIF, else 4000.", rich_help_panel=FLIGHT),
+    typer.Option("--image-width-px", min=16, help="Width of the images; by default by EXIF, else of 4:3 or 4000.", rich_help_panel=FLIGHT),
 ]
 ImageHeightOption = Annotated[
     int | None,
-    typer.Option("--image-height-px", min=16, help="Their height; by default by EXIF, else three quarters of it.", rich_help_panel=FLIGHT),
+    typer.Option("--image-height-px", min=16, help="Their height; by default by EXIF, else of 4:3.", rich_help_panel=FLIGHT),
 ]
 SizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height of a picture in px.")]
 UpOption = Annotated[str | None, option("sfm.up")]

@@ -28,6 +28,7 @@ from radiant_core.io.photos.folders import folders_warning, read_folder, unread_
 from radiant_core.io.photos.jpeg import ExifFacts
 from radiant_core.io.photos.listing import doubts_warning, photograph_heads
 from radiant_core.io.run_store import open_without_waiting
+from radiant_core.plan.borders.footprints import is_flat_angle, is_usual_aspect
 from radiant_core.plan.heights import HEIGHT_KINDS, height_codes
 from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints, clean_waypoints
 from radiant_core.waypoints.csv_reader import csv_rows
@@ -138,17 +139,23 @@ def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = N
 
 
 def _taken_with(heads: Sequence[ExifFacts]) -> PhotographedWith | None:
-    """The size and field of view of more than half of the photographs; None without such a size."""
-    cameras = Counter((head.taken_wh, head.focal_35mm, head.digital_zoom) for head in heads)
-    ((size_wh, focal_35mm, zoom), count) = cameras.most_common(1)[0]
-    if size_wh is None or 2 * count <= len(heads):
+    """The size of more than half of the photographs, None without one, and their field of view,
+    where more than half of all have it."""
+    size_wh, count = Counter(head.taken_wh for head in heads).most_common(1)[0]
+    if size_wh is None or 2 * count <= len(heads) or not is_usual_aspect(size_wh[1] / size_wh[0]):
         return None
-    if focal_35mm is None:
-        return PhotographedWith(size_wh=size_wh, field_of_view_deg=None)
+    angle_deg, count = Counter(_angle_deg(head) for head in heads if head.taken_wh == size_wh).most_common(1)[0]
+    return PhotographedWith(size_wh=size_wh, field_of_view_deg=angle_deg if 2 * count > len(heads) else None)
+
+
+def _angle_deg(head: ExifFacts) -> float | None:
+    """The angle across a photograph; None without a focal length, or for one of no camera."""
+    if head.focal_35mm is None or head.taken_wh is None:
+        return None
     # Equal diagonals, as of lenses in structure from motion.
-    focal_px = focal_35mm * zoom / math.hypot(36, 24) * math.hypot(*size_wh)
-    angle_deg = math.degrees(2 * math.atan(size_wh[0] / 2 / focal_px))
-    return PhotographedWith(size_wh=size_wh, field_of_view_deg=angle_deg)
+    focal_px = head.focal_35mm * head.digital_zoom / math.hypot(36, 24) * math.hypot(*head.taken_wh)
+    angle_deg = math.degrees(2 * math.atan(head.taken_wh[0] / 2 / focal_px)) if focal_px > 0 else math.nan
+    return angle_deg if is_flat_angle(angle_deg) else None
 
 
 def _folder_warnings(folder: Path) -> tuple[str, ...]:

@@ -102,6 +102,8 @@ def flight_request(whole_lines: float | None, formats: str | None, heights: Heig
 
 
 def _width_of(drone: DroneText) -> int:
+    if drone.image_width_px is None and drone.image_height_px is not None:
+        return round(drone.image_height_px / Optics().aspect)
     return Drone().image_width_px if drone.image_width_px is None else drone.image_width_px
 
 

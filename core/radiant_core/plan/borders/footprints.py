@@ -27,6 +27,16 @@ NADIR_DEG = -90.0
 _BLOCK = 65_536
 
 
+def is_flat_angle(angle_deg: float) -> bool:
+    """Whether a flat image can be so wide."""
+    return 1 <= angle_deg <= 170
+
+
+def is_usual_aspect(aspect: float) -> bool:
+    """Whether a camera takes images of that height over width."""
+    return 0.1 <= aspect <= 10
+
+
 @dataclass(frozen=True, kw_only=True)
 class Optics:
     """What a camera that has not flown yet will see. BadInput for angles no flat image has."""
@@ -37,9 +47,9 @@ class Optics:
     """Height of the image over its width."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.field_of_view_deg <= 170:
+        if not is_flat_angle(self.field_of_view_deg):
             raise BadInput(f"the field of view is {self.field_of_view_deg}°, expected 1 to 170 degrees across the image.")
-        if not 0.1 <= self.aspect <= 10:
+        if not is_usual_aspect(self.aspect):
             raise BadInput(f"the image's height over width is {self.aspect}, expected 0.1 to 10.")
 
 
