@@ -18,6 +18,7 @@ from radiant_core.plan.timeline.prediction import planned_stages
 from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
 from radiant_core.plan.together.choosing import BETWEEN, WITHIN, GroupChoice, GroupRules, choose_groups, choose_within
 from radiant_core.plan.together.costs import TogetherLaw, end_cost, start_cost, step_cost
+from radiant_core.plan.together.groups import GroupPlan
 from tests.core.plan.instances import random_system
 from tests.seeds import for_seeds
 
@@ -148,6 +149,10 @@ def test_the_group_has_the_views_steps_and_times_that_it_was_chosen_by() -> None
     assert choice.decision.topic == WITHIN
 
 
+def is_worth_it(group: GroupPlan, joined_s: float) -> bool:
+    return group.seconds < 2 * joined_s and sum(group.views.values()) <= 12
+
+
 @for_seeds(60)
 def test_together_is_chosen_up_to_twice_the_time_of_joined_by_its_own_times(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -169,17 +174,26 @@ def test_together_is_chosen_up_to_twice_the_time_of_joined_by_its_own_times(seed
         together = choose_within(at, plan, replace(rules, within="together")).group
         group = next((group for group in groups if group.edges == (at.id,) and group.level == "edge"), None)
         if group is not None:
-            assert group == together and group.seconds < 2 * own
+            assert group == together and is_worth_it(group, own)
         elif not groups or groups[0].level == "edge":
-            assert together is None or together.seconds >= 2 * own
-        each_s.append(own if together is None or together.seconds >= 2 * own else together.seconds)
+            assert together is None or not is_worth_it(together, own)
+        each_s.append(together.seconds if together is not None and is_worth_it(together, own) else own)
     if len(busy) > 1:
         merge_s = 0.0 if system.cloud.merge_s is None else float(system.cloud.merge_s(40))
         whole, _ = choose_groups(system, plans, replace(rules, between="together"))
         is_whole = bool(groups) and groups[0].level == "cloud"
-        worth = bool(whole) and whole[0].level == "cloud" and whole[0].seconds < 2 * (max(each_s) + merge_s + alone_s)
+        worth = bool(whole) and whole[0].level == "cloud" and is_worth_it(whole[0], max(each_s) + merge_s + alone_s)
         assert is_whole == worth
         assert decisions[-1].topic == BETWEEN
+
+
+@pytest.mark.parametrize(("num_devices", "together"), [(12, True), (13, False)])
+def test_more_than_twelve_views_a_step_are_joined_unless_asked_for(num_devices: int, together: bool) -> None:
+    at = edge("a", 1e5, num_devices=num_devices)
+    choice, asked = within(at), within(at, replace(RULES, within="together"))
+    assert asked.group is not None and sum(asked.group.views.values()) == num_devices
+    assert (choice.group is not None) == together
+    assert ("with 13 views a step, more than 12, joined models are the better ones" in choice.decision.reason) != together
 
 
 @pytest.mark.parametrize("link_mbit", [20.0, 1000.0])
