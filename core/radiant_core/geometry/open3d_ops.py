@@ -177,7 +177,7 @@ def _depth_tensors(view: DepthView) -> tuple[Any, Any]:
 
 def _seen_blocks(grid: Any, view: DepthView, max_depth: float) -> Any:
     depth, pose = _depth_tensors(view)
-    # Where Open3D turns a pixel into a ray, the first centre is at 0, ours at 0.5.
+    # Where Open3D turns depth into points, the first pixel centre is at 0, ours at 0.5.
     K = _tensor(view.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]))
     return grid.compute_unique_block_coordinates(depth, K, pose, 1.0, max_depth, TRUNCATION_VOXELS)
 
