@@ -131,6 +131,7 @@ def test_a_views_time_and_the_views_of_all_follow_the_policy_of_steps(tmp_path: 
     [
         ({}, None),
         ({"frames": "known"}, None),
+        ({"emulate": Path("system.toml")}, None),
         ({"frames": "gps"}, "frames by GPS are not exact"),
         ({"frames": "gps", "execution": ExecutionOptions(executor="network")}, "machines of several owners"),
         ({"aggregate": AggregateOptions(preset="paper")}, "the paper joins models"),

@@ -1,0 +1,174 @@
+"""Emulated machines that train together: each takes what its speed and its links say in every step, and a wait gives no credit."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiant_app.run.groups import prepare_meetings, with_groups
+from radiant_app.together import holding, leading, relaying
+from radiant_app.together.playing import LINKS, Pace, PlayedMachine, Work, links_variable, play_machine
+from radiant_app.workers.nodes import run_node
+from radiant_core.io.ply import load_ply
+from radiant_core.train.together.roles import Holder, Relay, Root
+from tests.contract.test_hierarchy import Oracle, World, assert_same, hamlet_of_two_tiers
+from tests.contract.test_together import grouped
+
+NUM_VIEWS = 48  # 8 steps of 6
+SPEEDS = {"edge-1-1": 0.2, "edge-1-2": 0.1, "edge-2-1": 0.2, "edge-2-2": 0.1, "edge-1": 0.1, "edge-2": 0.1}
+OF_DEVICE, OF_EDGE = Pace(2e6, 0.02), Pace(1e6, 0.03)
+
+
+class Clocks:
+    """A machine whose time passes as it is told."""
+
+    def __init__(self) -> None:
+        self.now_s = self.cpu_s = 0.0
+
+    def work(self, speed: float | None) -> Work:
+        return Work(speed, now=lambda: self.now_s, cpu=lambda: self.cpu_s, sleep=self.idle)
+
+    def idle(self, seconds: float) -> None:
+        self.now_s += seconds
+
+    def burn(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.cpu_s += seconds
+
+
+def test_work_takes_its_cpu_seconds_over_the_speed_and_waiting_gives_no_credit() -> None:
+    clocks = Clocks()
+    work = clocks.work(0.25)
+    clocks.burn(0.2)
+    work.settle()
+    assert clocks.now_s == pytest.approx(0.8)
+    with work.waiting():
+        clocks.idle(100.0)
+        clocks.burn(0.1)
+    clocks.burn(0.3)
+    with work.waiting():
+        assert clocks.now_s == pytest.approx(0.8 + 100.1 + 1.2), "as if nobody had waited"
+    assert (work.cpu_s, work.seconds) == (pytest.approx(0.5), pytest.approx(2.0)), "what is done in a wait is no work"
+
+
+def test_work_that_others_delay_is_late_and_counted_so() -> None:
+    clocks = Clocks()
+    work = clocks.work(0.5)
+    clocks.burn(0.1)
+    clocks.idle(0.9)
+    work.settle()
+    assert clocks.now_s == pytest.approx(1.0) and work.cpu_s / work.seconds == pytest.approx(0.1)
+
+
+def test_who_plays_no_machine_never_sleeps() -> None:
+    clocks = Clocks()
+    work = clocks.work(None)
+    clocks.burn(1.0)
+    work.settle()
+    assert clocks.now_s == 1.0
+    with play_machine() as played:
+        assert (played.up, dict(played.down)) == (Pace(), {})
+
+
+def test_a_process_is_told_of_its_links(monkeypatch: pytest.MonkeyPatch) -> None:
+    ((name, value),) = links_variable(Pace(1e6, 0.5), {"a": Pace(None, 0.25)}).items()
+    assert name == LINKS and json.loads(value)
+    monkeypatch.setenv(name, value)
+    with play_machine() as played:
+        assert played.up == Pace(1e6, 0.5) and dict(played.down) == {"a": Pace(None, 0.25)}
+
+
+Pieces = dict[str, list[tuple[float, int]]]
+"""Method and machine → CPU seconds of each call, and bytes of what it made."""
+
+
+def recorded(monkeypatch: pytest.MonkeyPatch) -> tuple[Pieces, list[float]]:
+    """What machines do in their steps from now on, and when the root began each sum."""
+    pieces, begun_s = defaultdict(list[tuple[float, int]]), list[float]()
+
+    def record(role: type, method: str) -> None:
+        inner: Callable = getattr(role, method)
+
+        def outer(*arguments: object) -> object:
+            if method == "total":
+                begun_s.append(time.monotonic())
+            cpu_s = time.thread_time()
+            made = inner(*arguments)
+            data = made[0] if isinstance(made, tuple) else made
+            pieces[f"{method} {threading.current_thread().name}"].append((time.thread_time() - cpu_s, len(data or b"")))
+            return made
+
+        monkeypatch.setattr(role, method, outer)
+
+    for role, method in ((Holder, "message"), (Holder, "take"), (Relay, "message"), (Root, "total")):
+        record(role, method)
+    return pieces, begun_s
+
+
+def play(world: World, run: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Every machine of the group as a thread, whose CPU time is its own; the cloud's folder."""
+
+    @contextmanager
+    def machine_of_thread() -> Iterator[PlayedMachine]:
+        name = threading.current_thread().name
+        work = Work(SPEEDS.get(name), cpu=time.thread_time)
+        down = {f"edge-{edge}": OF_EDGE for edge in (1, 2)} | {f"{name}-{device}": OF_DEVICE for device in (1, 2)}
+        yield PlayedMachine(work=work, up=OF_DEVICE if name.count("-") == 2 else OF_EDGE, down=down)
+
+    for module in (holding, relaying, leading):
+        monkeypatch.setattr(module, "play_machine", machine_of_thread)
+    dealer = world.dealer(run)
+    prepare_meetings(run, world.recipe)
+    tasks = {node.name: dealer.prepare(node) for node in with_groups(world.tree, world.recipe.groups)}
+    threads = [
+        threading.Thread(target=run_node, args=(task.kind, task.folder, task.stage, lambda event: None), name=name, daemon=True)
+        for name, task in tasks.items()
+        if task is not None
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60.0)
+    return run / "cloud"
+
+
+def step_s(pieces: Pieces, devices: dict[str, list[str]], step: int) -> float:
+    """From one sum of the root to the next: devices learn from the last total and contribute, edges add up, the root does."""
+    at_root_s, total = 0.0, pieces["total cloud"][step][1]
+    for edge, names in devices.items():
+        at_edge_s = 0.0
+        for name in names:
+            (took_s, _), (made_s, sent) = pieces[f"take {name}"][step], pieces[f"message {name}"][step + 1]
+            at_edge_s = max(at_edge_s, (took_s + made_s) / SPEEDS[name] + sent / 2e6 + 0.02)
+        added_s, sent = pieces[f"message {edge}"][step + 1]
+        at_root_s = max(at_root_s, at_edge_s + added_s / SPEEDS[edge] + sent / 1e6 + 0.03)
+    down_s = total / 1e6 + 0.03 + total / 2e6 + 0.02
+    return pieces["total cloud"][step][0] + down_s + at_root_s
+
+
+def test_steps_of_the_hamlet_take_what_speeds_and_links_say_and_make_the_same_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "world").mkdir()
+    world = hamlet_of_two_tiers(tmp_path / "world")
+    world = World(photographs=world.photographs, recipe=grouped(world.recipe, ("cloud",), num_steps=NUM_VIEWS))
+    oracle = Oracle(world)
+    pieces, begun_s = recorded(monkeypatch)
+    cloud = play(world, tmp_path / "run", monkeypatch)
+    assert_same(oracle.run.joined.splats, load_ply(cloud / "scene.ply"))
+    steps = range(len(begun_s) - 1)
+    assert len(steps) >= 5
+    devices = {f"edge-{edge}": [f"edge-{edge}-{device}" for device in (1, 2)] for edge in (1, 2)}
+    foretold_s = np.array([step_s(pieces, devices, step) for step in steps])
+    taken_s = np.diff(begun_s)
+    # A thread may wait for a core or for the others' turns in the interpreter; nobody is early.
+    assert (taken_s > 0.97 * foretold_s).all(), (taken_s, foretold_s)
+    assert np.median(taken_s / foretold_s) < 1.2, (taken_s, foretold_s)
