@@ -1,12 +1,16 @@
 """The emulated machine that a process of a group plays, under `--emulate`: a share of a core, and
 links. Loads no torch.
 
-    work     what the process computes between two waits takes its CPU seconds / speed: it sleeps for
-             the rest before it sends or waits again; waiting gives no credit and costs nothing
-    links    what an end sends arrives as late as over its link (`Pace`)
+    work     t += CPU seconds / speed, and the process sleeps until then before it sends or waits
+    message  due at t + bytes / bytes_per_s + latency; who waited for it has t = max(t, due)
+
+t is the machine's own time, on this machine's monotonic clock, so what it computes between two
+waits takes its share, and waiting gives no credit and costs nothing. Where other work delays the
+process, t goes on as if it had not: who is late sleeps less until it has caught up.
 
 Until its first link is opened, and after its last, the share is kept from outside
-(`executors/emulated_node.py`), with which the process agrees on both moments over a socket.
+(`executors/emulated_node.py`), with which the process agrees on both moments over a socket. A
+process with links and no share, the cloud, has a core of this machine.
 """
 
 from __future__ import annotations
@@ -55,8 +59,7 @@ class Pace:
 
 
 class Work:
-    """The work of a process, prolonged to what a machine of `speed` of a core takes; None: as it
-    is."""
+    """The time of a machine whose work takes its CPU seconds / `speed`; None: its process's."""
 
     def __init__(
         self,
@@ -67,31 +70,39 @@ class Work:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._speed, self._now, self._cpu, self._sleep = speed, now, cpu, sleep
-        self.cpu_s = self.seconds = 0.0
-        """CPU seconds that it took, and how long that was."""
-        self._begin()
+        self._at_s, self._counted_cpu_s = now(), cpu()
+        self.cpu_s, self._late_s = 0.0, 0.0
+        """CPU seconds of its work; s that it was late where a wait of no known end began."""
 
-    def settle(self) -> None:
-        """Sleep until the work since the last wait has taken its time."""
+    def settle(self) -> float:
+        """Sleep until the work since the last wait has taken its time; t, monotonic s."""
         if self._speed is None:
-            return
-        cpu_s = self._cpu() - self._begun_cpu_s
-        self._sleep(max(0.0, cpu_s / self._speed - (self._now() - self._begun_s)))
-        self.cpu_s += cpu_s
-        self.seconds += self._now() - self._begun_s
-        self._begin()
+            return self._now()
+        cpu_s = self._cpu()
+        self.cpu_s += cpu_s - self._counted_cpu_s
+        self._at_s += (cpu_s - self._counted_cpu_s) / self._speed
+        self._counted_cpu_s = cpu_s
+        if (ahead_s := self._at_s - self._now()) > 0:
+            self._sleep(ahead_s)
+        return self._at_s
 
     @contextmanager
-    def waiting(self) -> Iterator[None]:
-        """What is done inside is a wait, and no work."""
+    def waiting(self, until_s: float | None = None) -> Iterator[None]:
+        """What is done inside is a wait, and no work: for what is there at `until_s`, monotonic s,
+        None: when the wait is over."""
         self.settle()
+        if until_s is None:
+            self._late_s += max(0.0, self._now() - self._at_s)
         try:
             yield
         finally:
-            self._begin()
+            self._at_s = max(self._at_s, self._now() if until_s is None else until_s)
+            self._counted_cpu_s = self._cpu()
 
-    def _begin(self) -> None:
-        self._begun_s, self._begun_cpu_s = self._now(), self._cpu()
+    @property
+    def seconds(self) -> float:
+        """How long its work took: more than its share of a core says by what it is late."""
+        return self.cpu_s / (self._speed or 1.0) + self._late_s + max(0.0, self._now() - self._at_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +128,7 @@ def play_machine() -> Iterator[PlayedMachine]:
     links = json.loads(os.environ.get(LINKS, '{"up": [], "down": {}}'))
     up, down = Pace(*links["up"]), {name: Pace(*pace) for name, pace in links["down"].items()}
     if SHARE not in os.environ:
-        yield PlayedMachine(up=up, down=down)
+        yield PlayedMachine(work=Work(1.0 if down else None), up=up, down=down)
         return
     descriptor, speed = os.environ[SHARE].split()
     with socket.socket(fileno=int(descriptor)) as keeper:

@@ -240,24 +240,24 @@ class Wire:
         pace = self.rules.pace
         if pace.bytes_per_s is None and pace.latency_s == 0:
             return 0
-        self._free_at = max(self._free_at, time.monotonic()) + pace.carry_s(num_bytes)
+        self._free_at = max(self._free_at, self.rules.work.settle()) + pace.carry_s(num_bytes)
         return int((self._free_at + pace.latency_s) * 1e9)
 
     def _hold(self, due: float, deadline: float) -> None:
-        now = time.monotonic()
-        if due <= now:
+        begun = time.monotonic()
+        if due == 0.0:
             return
-        with self.rules.work.waiting():
+        with self.rules.work.waiting(until_s=due):
             time.sleep(max(0.0, min(due, deadline) - time.monotonic()))
-        self.traffic.waited_s += time.monotonic() - now
-        if due > deadline:
+        self.traffic.waited_s += time.monotonic() - begun
+        if due > max(deadline, begun):
             raise self.lose(f"{_LATE} {self.rules.limit_s:g} s")
 
     @contextmanager
     def _loss(self, deadline: float) -> Iterator[None]:
         """Count the seconds that pass, which are a wait where there is a deadline, and turn gloo's
-        errors into `LinkLost`."""
-        with self.rules.work.waiting() if deadline else nullcontext():
+        errors into `LinkLost`. What comes is there when it is due, whenever it arrives here."""
+        with self.rules.work.waiting(until_s=0.0) if deadline else nullcontext():
             start = time.monotonic()
             try:
                 yield

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from radiant_app.run.groups import prepare_meetings, with_groups
@@ -59,13 +58,35 @@ def test_work_takes_its_cpu_seconds_over_the_speed_and_waiting_gives_no_credit()
     assert (work.cpu_s, work.seconds) == (pytest.approx(0.5), pytest.approx(2.0)), "what is done in a wait is no work"
 
 
-def test_work_that_others_delay_is_late_and_counted_so() -> None:
+def test_work_that_others_delay_is_caught_up_with_and_what_is_left_is_counted() -> None:
+    """Three pieces of 0.2 s each; something else has the core for 0.3 s during the first."""
     clocks = Clocks()
     work = clocks.work(0.5)
-    clocks.burn(0.1)
-    clocks.idle(0.9)
-    work.settle()
-    assert clocks.now_s == pytest.approx(1.0) and work.cpu_s / work.seconds == pytest.approx(0.1)
+    ends_s = []
+    for others_s in (0.3, 0.0, 0.0):
+        clocks.burn(0.1)
+        clocks.idle(others_s)
+        assert work.settle() == pytest.approx(0.2 * (len(ends_s) + 1)), "when it would have been done"
+        ends_s.append(clocks.now_s)
+    assert ends_s == pytest.approx([0.4, 0.5, 0.6])
+    clocks.idle(1.0)
+    assert (work.cpu_s, work.seconds) == (pytest.approx(0.3), pytest.approx(1.6))
+    with work.waiting():
+        clocks.idle(5.0)
+    assert work.seconds == pytest.approx(1.6), "a wait is not late"
+
+
+def test_what_was_due_while_a_machine_was_late_is_there_when_it_was_due() -> None:
+    clocks = Clocks()
+    work = clocks.work(0.5)
+    clocks.idle(3.0)
+    with work.waiting(until_s=2.0):
+        clocks.burn(0.5)
+    clocks.burn(0.25)
+    assert work.settle() == pytest.approx(2.5)
+    with work.waiting(until_s=9.0):
+        clocks.idle(9.0 - clocks.now_s)
+    assert work.settle() == pytest.approx(9.0)
 
 
 def test_who_plays_no_machine_never_sleeps() -> None:
@@ -167,8 +188,6 @@ def test_steps_of_the_hamlet_take_what_speeds_and_links_say_and_make_the_same_mo
     steps = range(len(begun_s) - 1)
     assert len(steps) >= 5
     devices = {f"edge-{edge}": [f"edge-{edge}-{device}" for device in (1, 2)] for edge in (1, 2)}
-    foretold_s = np.array([step_s(pieces, devices, step) for step in steps])
-    taken_s = np.diff(begun_s)
-    # A thread may wait for a core or for the others' turns in the interpreter; nobody is early.
-    assert (taken_s > 0.97 * foretold_s).all(), (taken_s, foretold_s)
-    assert np.median(taken_s / foretold_s) < 1.2, (taken_s, foretold_s)
+    foretold_s = sum(step_s(pieces, devices, step) for step in steps)
+    # A thread may wait for a core or for its turn in the interpreter; it catches up.
+    assert begun_s[-1] - begun_s[0] == pytest.approx(foretold_s, rel=0.12)
