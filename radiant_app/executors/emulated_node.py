@@ -101,8 +101,9 @@ def _run_at_share(command: list[str], speed: float, begun_s: float) -> tuple[int
     # This process has one thread, so that code between fork and exec is safe.
     kill = _kill_with(os.getpid())
     keeper, member = socket.socketpair()
-    env = {**os.environ, "OMP_NUM_THREADS": "1", SHARE: f"{member.fileno()} {speed}"}
-    process = subprocess.Popen(command, env=env, preexec_fn=kill, pass_fds=[member.fileno()])  # noqa: PLW1509
+    fds = [member.fileno()]
+    env = {**os.environ, "OMP_NUM_THREADS": "1", SHARE: f"{fds[0]} {speed}"}
+    process = subprocess.Popen(command, env=env, preexec_fn=kill, pass_fds=fds)  # noqa: PLW1509
     member.close()
     ended = os.pidfd_open(process.pid)
     account = _Account(speed=speed, begun_s=begun_s)

@@ -22,7 +22,7 @@ from tests.contract.test_hierarchy import Oracle, World, assert_same, hamlet_of_
 from tests.contract.test_together import grouped
 
 NUM_VIEWS = 48  # 8 steps of 6
-SPEEDS = {"edge-1-1": 0.2, "edge-1-2": 0.1, "edge-2-1": 0.2, "edge-2-2": 0.1, "edge-1": 0.1, "edge-2": 0.1}
+SPEEDS = {"edge-1-1": 0.2, "edge-1-2": 0.1, "edge-2-1": 0.2, "edge-2-2": 0.1, "edge-1": 0.1, "edge-2": 0.1, "cloud": 1.0}
 OF_DEVICE, OF_EDGE = Pace(2e6, 0.02), Pace(1e6, 0.03)
 
 
@@ -111,8 +111,8 @@ Pieces = dict[str, list[tuple[float, int]]]
 """Method and machine → CPU seconds of each call, and bytes of what it made."""
 
 
-def recorded(monkeypatch: pytest.MonkeyPatch) -> tuple[Pieces, list[float]]:
-    """What machines do in their steps from now on, and when the root began each sum."""
+def recorded(monkeypatch: pytest.MonkeyPatch, works: dict[str, Work]) -> tuple[Pieces, list[float]]:
+    """What machines do in their steps from now on, and when the root began each sum, by its own time."""
     pieces, begun_s = defaultdict(list[tuple[float, int]]), list[float]()
 
     def record(role: type, method: str) -> None:
@@ -120,7 +120,8 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> tuple[Pieces, list[float]]:
 
         def outer(*arguments: object) -> object:
             if method == "total":
-                begun_s.append(time.monotonic())
+                begun_s.append(works["cloud"].settle())
+                assert begun_s[-1] <= time.monotonic(), "never early"
             cpu_s = time.thread_time()
             made = inner(*arguments)
             data = made[0] if isinstance(made, tuple) else made
@@ -134,15 +135,15 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> tuple[Pieces, list[float]]:
     return pieces, begun_s
 
 
-def play(world: World, run: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def play(world: World, run: Path, monkeypatch: pytest.MonkeyPatch, works: dict[str, Work]) -> Path:
     """Every machine of the group as a thread, whose CPU time is its own; the cloud's folder."""
 
     @contextmanager
     def machine_of_thread() -> Iterator[PlayedMachine]:
         name = threading.current_thread().name
-        work = Work(SPEEDS.get(name), cpu=time.thread_time)
+        works[name] = Work(SPEEDS[name], cpu=time.thread_time)
         down = {f"edge-{edge}": OF_EDGE for edge in (1, 2)} | {f"{name}-{device}": OF_DEVICE for device in (1, 2)}
-        yield PlayedMachine(work=work, up=OF_DEVICE if name.count("-") == 2 else OF_EDGE, down=down)
+        yield PlayedMachine(work=works[name], up=OF_DEVICE if name.count("-") == 2 else OF_EDGE, down=down)
 
     for module in (holding, relaying, leading):
         monkeypatch.setattr(module, "play_machine", machine_of_thread)
@@ -157,7 +158,7 @@ def play(world: World, run: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(60.0)
+        thread.join(120.0)
     return run / "cloud"
 
 
@@ -182,12 +183,13 @@ def test_steps_of_the_hamlet_take_what_speeds_and_links_say_and_make_the_same_mo
     world = hamlet_of_two_tiers(tmp_path / "world")
     world = World(photographs=world.photographs, recipe=grouped(world.recipe, ("cloud",), num_steps=NUM_VIEWS))
     oracle = Oracle(world)
-    pieces, begun_s = recorded(monkeypatch)
-    cloud = play(world, tmp_path / "run", monkeypatch)
+    works = dict[str, Work]()
+    pieces, begun_s = recorded(monkeypatch, works)
+    cloud = play(world, tmp_path / "run", monkeypatch, works)
     assert_same(oracle.run.joined.splats, load_ply(cloud / "scene.ply"))
     steps = range(len(begun_s) - 1)
     assert len(steps) >= 5
     devices = {f"edge-{edge}": [f"edge-{edge}-{device}" for device in (1, 2)] for edge in (1, 2)}
     foretold_s = sum(step_s(pieces, devices, step) for step in steps)
-    # A thread may wait for a core or for its turn in the interpreter; it catches up.
-    assert begun_s[-1] - begun_s[0] == pytest.approx(foretold_s, rel=0.12)
+    # What is around these pieces, and waits for no core: packing, and headers of messages.
+    assert begun_s[-1] - begun_s[0] == pytest.approx(foretold_s, rel=0.1)
