@@ -3,9 +3,9 @@
 Every node of a device or edge runs inside `emulated_node`: one thread at `speed` of a core, and the
 node only ends when its model's last byte would have passed its uplink, so that its parent starts no
 sooner. All nodes that may run at once do. Nodes that train together keep to their speeds and links
-in every step instead (`radiant_app/together/playing.py`), the cloud's links among them. The cloud's
-work, structure from motion and evaluation run and are measured as usual. Events of emulated nodes
-are marked.
+in every step instead (`radiant_app/together/playing.py`), and the cloud, if it is one of them, to
+its links and a core. A cloud that joins, structure from motion and evaluation run and are measured
+as usual. Events of emulated nodes are marked.
 """
 
 from __future__ import annotations

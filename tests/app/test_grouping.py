@@ -154,6 +154,11 @@ def test_to_ask_for_it_there_is_refused(option: str, where: dict) -> None:
         config_of({"source": Path("photos"), "out": Path("run"), option: "together", **where})
 
 
+def test_to_ask_for_it_of_emulated_machines_is_taken() -> None:
+    asked = config_of({"source": Path("photos"), "out": Path("run"), "emulate": Path("s.toml"), "plan.between_edges": "together"})
+    assert asked.emulated and asked.plan.asks_together and obstacle_of(asked) is None
+
+
 def test_masks_are_asked_for_with_machines_that_train_together_alone() -> None:
     where = {"source": Path("photos"), "out": Path("run"), "plan.mask_gradients": True}
     assert config_of(where).plan.mask_gradients and not config_of({**where, "plan.mask_gradients": False}).plan.mask_gradients
