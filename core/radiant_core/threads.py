@@ -1,4 +1,5 @@
-"""Photographs, views and pairs dealt to threads, results in their order. Once per block of tasks."""
+"""Photographs, views and pairs dealt to threads, results in their order. Once per block of
+tasks."""
 
 from __future__ import annotations
 

@@ -100,6 +100,6 @@ class _Drawn:
         )
         with torch.no_grad():
             output = rasterize_sound(self._tensors, viewmats, Ks, options, self._backend, num_threads)
-        # Torch would clamp with threads, which spin on and take a core from the rasterizer (libgomp).
+        # Torch would clamp with threads, which spin on and take a core from the rasterizer.
         image, alpha, depth = (part[0].cpu().numpy() for part in (output.images, output.alphas, output.depths))
         return RenderedView(name=cameras.names[index], image=np.clip(image, 0, 1), alpha=np.clip(alpha, 0, 1), depth=depth)
