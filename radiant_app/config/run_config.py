@@ -452,11 +452,9 @@ class RunConfig:
         if self.frames != "shared" and self.plan.cut_by == "looks":
             reason = "where cameras look is known once they are reconstructed together"
             raise BadInput(f"--cut-by is looks: {reason}, and with --frames {self.frames} each device places its own: use --frames shared.")
-        if (self.plan.asks_together or self.plan.mask_gradients) and (
-            self.frames == "gps" or self.execution.executor == "network" or self.emulated
-        ):
-            where = "over a network" if self.execution.executor == "network" else "with --emulate" if self.emulated else "with --frames gps"
-            reason = "machines that train together need one exact frame, one owner's links and clocks that wait"
+        if (self.plan.asks_together or self.plan.mask_gradients) and (self.frames == "gps" or self.execution.executor == "network"):
+            where = "over a network" if self.execution.executor == "network" else "with --frames gps"
+            reason = "machines that train together need one exact frame and one owner's links"
             raise BadInput(f"{reason}, and {where} their models are joined: leave --within-edge, --between-edges and --mask-gradients out.")
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")

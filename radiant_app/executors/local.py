@@ -81,6 +81,8 @@ class LocalExecutor:
     retry_policy: RetryPolicy = field(default_factory=RetryPolicy)
     num_threads: int | None = None
     """Of each process; None: its share of the cores."""
+    variables: Callable[[NodeTask], Mapping[str, str]] = lambda task: {}
+    """More variables of a node's process."""
 
     def begin(self) -> None:
         """Load the libraries of folds to come in the background."""
@@ -97,6 +99,7 @@ class LocalExecutor:
             num_threads=threads,
             gang_threads={} if self.num_threads else _gang_threads(tree, self.num_workers),
             edges_at_once=_edges_at_once(tree, self.num_workers),
+            variables=self.variables,
         )
         if self.command is worker_command and sum(1 for _ in tree) >= LEAST_FORKED:
             runner.server = partial(open_server, IMPORTED, worker_environment(threads))
@@ -150,6 +153,8 @@ class Processes:
     """Edges that may join side by side, which divide what memory is free."""
     server: Callable[[], ForkServer | None] = lambda: None
     """Opens what forks processes once one is to start; None: they start anew."""
+    variables: Callable[[NodeTask], Mapping[str, str]] = lambda task: {}
+    """As of `LocalExecutor`."""
     lines: queue.Queue[tuple[str, str | None]] = field(default_factory=queue.Queue)
     running: dict[str, _Running] = field(default_factory=dict)
 
@@ -208,7 +213,9 @@ class Processes:
     def _spawn(self, node: Tree, task: NodeTask, server: ForkServer | None, card: str | None) -> Process:
         threads = self.gang_threads.get(node.gang, self.num_threads)
         command = self.command(task)
-        environment = worker_environment(threads, self.edges_at_once) | ({} if card is None else {VISIBLE: card})
+        environment = {**worker_environment(threads, self.edges_at_once), **self.variables(task)}
+        if card is not None:
+            environment[VISIBLE] = card
         with log_path(task.folder).open("w") as log:
             if server is not None and command[:2] == [sys.executable, "-m"]:
                 # It may have been killed.

@@ -40,6 +40,7 @@ from radiant_core.io.run_store import open_without_waiting
 from radiant_core.plan.system import System
 from radiant_core.plan.timeline.prediction import planned_stages
 from radiant_core.plan.timeline.refining import STEP, predict_refining
+from radiant_core.plan.together.groups import GroupPlan
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.time_left import predict_phases
 from radiant_core.train.config import TrainConfig
@@ -139,6 +140,14 @@ def _planned_s(config: RunConfig, plan: Plan, recipe: Recipe, num_workers: int) 
     law = refining_law_of(recipe.train, recipe.aggregate, num_photographs, num_devices, fixed=fixed)
     refining_s = predict_refining(system, edge_plans, law, with_sending=config.emulated)
     return _side_by_side(devices, num_workers), joining_s, refining_s * max(1.0, len(devices) / num_workers)
+
+
+def planned_makespan_s(recipe: Recipe, groups: Sequence[GroupPlan]) -> float:
+    """When the last model is at the cloud, or the model of all is trained there, as predicted: of
+    machines that train together by their steps."""
+    plan, together = recipe.cloud_plan, {edge for group in groups for edge in group.edges}
+    joined_s = [float(seconds) for edge, seconds in zip(plan.edge_ids, plan.edge_time_s, strict=True) if edge not in together]
+    return max([*joined_s, *(group.seconds for group in groups)])
 
 
 def _side_by_side(seconds: Sequence[float], num_workers: int) -> float:

@@ -82,8 +82,6 @@ def obstacle_of(config: RunConfig) -> str | None:
         return "machines of several owners exchange models, not every step"
     if config.frames == "gps":
         return "frames by GPS are not exact, so that devices do not see the same Gaussians"
-    if config.emulated:
-        return "the clock of an emulated machine does not stand while it waits for others in every step"
     if config.aggregate.preset == "paper":
         return "the paper joins models"
     return None

@@ -129,7 +129,7 @@ class Children:
                     self.refuse(name, str(error))
             self._leave_out([name for name in missing if name not in self.links.linked], begun_s, patient=not sent)
             self._require_all()
-            time.sleep(0.01)
+            self.links.pause(0.01)
         if not sent:
             raise StageFailed(f"none of {', '.join(self.names)} came to train: look at their messages above.")
         return sent
@@ -173,7 +173,7 @@ class Children:
                 break
             if not waiting:
                 self._leave_out([name for name in missing if name not in self.links.linked], begun_s)
-                time.sleep(0.005)
+                self.links.pause(0.005)
             self._require_all()
         if not got:
             raise StageFailed(f"none of {', '.join(self.names)} sends gradients any more: look at their messages above.")
@@ -202,7 +202,7 @@ class Children:
             for name in filter(self._is_gone, missing):
                 self.links.drop(name, "it has ended")
             self._leave_out([name for name in missing if name not in self.links.linked], begun_s)
-            time.sleep(0.01)
+            self.links.pause(0.01)
 
     def _receive(self, names: Sequence[str]) -> list[tuple[str, bytes, bytes]]:
         """Child, kind and payload of a message of each child; lost ones are noted."""

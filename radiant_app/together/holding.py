@@ -18,6 +18,7 @@ from radiant_app.reporting import EventReporter
 from radiant_app.together.exchange import BEGIN, END, GONE_S, GRADIENTS, LATE_S, START, TOTAL, pack, unpack
 from radiant_app.together.links import ChildLink, LinkLost, LinkRules, Traffic, connect
 from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, mark_done, meeting_of
+from radiant_app.together.playing import PlayedMachine, play_machine
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.codec import task_key
@@ -58,8 +59,9 @@ def hold(folder: Path, task: DeviceTask, views: TrainingViews, reporter: EventRe
     place = folder / GROUP_FOLDER
     place.mkdir(exist_ok=True)
     key = content_key(__version__, task_key(task), _packed(place / "start.safetensors", prepared.start))
-    member = _Member(folder=folder, seat=seat, prepared=prepared, key=key, reporter=reporter)
-    holder = member.run()
+    with play_machine() as played:
+        member = _Member(folder=folder, seat=seat, prepared=prepared, key=key, reporter=reporter, played=played)
+        holder = member.run()
     result = holder.replica.outcome()
     summary = {**training_summary(result), "num_photographs": len(prepared.views), "num_points": len(prepared.scene.points)}
     summary |= {"sent_bytes": member.traffic.sent_bytes, "received_bytes": member.traffic.received_bytes}
@@ -67,10 +69,12 @@ def hold(folder: Path, task: DeviceTask, views: TrainingViews, reporter: EventRe
 
 
 class _Member:
-    def __init__(self, *, folder: Path, seat: Seat, prepared: PreparedShare, key: str, reporter: EventReporter) -> None:
+    def __init__(
+        self, *, folder: Path, seat: Seat, prepared: PreparedShare, key: str, reporter: EventReporter, played: PlayedMachine
+    ) -> None:
         self._folder, self._seat, self._prepared, self._reporter = folder, seat, prepared, reporter
         # A parent waits for others before it answers.
-        self._rules = LinkRules(limit_s=GONE_S + 2 * LATE_S)
+        self._rules = LinkRules(limit_s=GONE_S + 2 * LATE_S, pace=played.up, work=played.work)
         self.traffic = Traffic()
         self.initial: Splats | None = None
         place = folder / GROUP_FOLDER

@@ -17,6 +17,7 @@ from radiant_app.reporting import EventReporter
 from radiant_app.together.exchange import BEGIN, GONE_S, LATE_S, RELAY_STATE, TOTAL, Answer, Children, begin_anew, pack, unpack_sum
 from radiant_app.together.links import LinkLost, LinkRules, ParentLinks
 from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, meeting_of
+from radiant_app.together.playing import play_machine
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.hierarchy.codec import task_key
@@ -65,16 +66,17 @@ def lead(folder: Path, plan: GroupTraining, task: Training, num_dealt: Mapping[s
     meeting = meeting_of(folder, plan.root)
     meeting.mkdir(parents=True, exist_ok=True)
     # An edge waits for its devices before it sends.
-    rules = LinkRules(limit_s=GONE_S + LATE_S) if plan.has_relays else LinkRules(limit_s=LATE_S)
-    links = ParentLinks(meeting, list(plan.of_senders), rules)
+    limit_s = GONE_S + LATE_S if plan.has_relays else LATE_S
     # Edges have taken off the masks of their devices.
     needs_all = plan.masked and not plan.has_relays
-    children = Children(links=links, names=list(plan.of_senders), meeting=meeting, warn=reporter.warn, needs_all=needs_all)
-    leader = _Leader(folder=folder, plan=plan, task=task, num_dealt=num_dealt, reporter=reporter, children=children)
-    try:
-        return leader.run(machine)
-    finally:
-        links.close()
+    with play_machine() as played:
+        links = ParentLinks(meeting, list(plan.of_senders), LinkRules(limit_s=limit_s, work=played.work), played.down)
+        children = Children(links=links, names=list(plan.of_senders), meeting=meeting, warn=reporter.warn, needs_all=needs_all)
+        leader = _Leader(folder=folder, plan=plan, task=task, num_dealt=num_dealt, reporter=reporter, children=children)
+        try:
+            return leader.run(machine)
+        finally:
+            links.close()
 
 
 class _Leader:

@@ -19,12 +19,14 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from radiant_app.together import meeting as meeting_place
 from radiant_app.together.meeting import ANSWER_S, CHILD, PARENT, Attempt
-from radiant_app.together.wire import LinkLost, LinkRules, Message, Pace, Traffic, Wire
+from radiant_app.together.playing import Pace
+from radiant_app.together.wire import LinkLost, LinkRules, Message, Traffic, Wire
 
 __all__ = ["ChildLink", "LinkLost", "LinkRules", "Message", "Pace", "ParentLinks", "Traffic", "connect"]
 
@@ -69,7 +71,7 @@ class ChildLink:
         meeting_place.withdraw(self._meeting, self._name)
 
     def _deadline(self) -> float:
-        return time.monotonic() + self._wire.rules.limit_s
+        return self._wire.rules.deadline()
 
 
 def connect(meeting: Path, name: str, wait_s: float, rules: LinkRules | None = None, traffic: Traffic | None = None) -> ChildLink:
@@ -79,27 +81,35 @@ def connect(meeting: Path, name: str, wait_s: float, rules: LinkRules | None = N
     takes the first one's place. Raises `LinkLost` when no parent has taken the link by then.
     """
     rules, traffic = rules or LinkRules(), traffic or Traffic()
+    with rules.work.waiting():
+        group = _ask_for_group(meeting, name, wait_s, rules)
+    return ChildLink(Wire(group, CHILD, _PARENT_NAME, rules, traffic), meeting, name)
+
+
+def _ask_for_group(meeting: Path, name: str, wait_s: float, rules: LinkRules) -> Any:
     deadline = time.monotonic() + wait_s
     device = meeting_place.device_at(rules.address)
     while True:
         attempt = meeting_place.ask(meeting, name)
         try:
-            group = meeting_place.join(attempt, CHILD, device, deadline - time.monotonic())
+            return meeting_place.join(attempt, CHILD, device, deadline - time.monotonic())
         except (OSError, RuntimeError):
             if time.monotonic() >= deadline:
                 meeting_place.withdraw(meeting, name)
                 reason = f"no parent took the link that {name} asked for in {meeting} within {wait_s:g} s"
                 raise LinkLost(_PARENT_NAME, reason) from None
             time.sleep(0.05)
-        else:
-            return ChildLink(Wire(group, CHILD, _PARENT_NAME, rules, traffic), meeting, name)
 
 
 class ParentLinks:
     """A parent's links to the children `names`, made and renewed by `poll`."""
 
-    def __init__(self, meeting: Path, names: Collection[str], rules: LinkRules | None = None) -> None:
+    def __init__(
+        self, meeting: Path, names: Collection[str], rules: LinkRules | None = None, paces: Mapping[str, Pace] | None = None
+    ) -> None:
+        """`paces`: child → that of what it is sent, where it is not that of the rules."""
         self._meeting, self._rules = meeting, rules or LinkRules()
+        self._rules_of = {name: replace(self._rules, pace=pace) for name, pace in (paces or {}).items()}
         self._traffic = {name: Traffic() for name in names}
         self._device = meeting_place.device_at(self._rules.address)
         self._wires: dict[str, Wire] = {}
@@ -136,7 +146,7 @@ class ParentLinks:
             name, attempt, group = self._joined.get()
             if self._latest.get(name) is attempt:
                 self.drop(name, "a new link replaced it")
-                self._wires[name] = Wire(group, PARENT, name, self._rules, self._traffic[name])
+                self._wires[name] = Wire(group, PARENT, name, self._rules_of.get(name, self._rules), self._traffic[name])
                 linked = [*(linked_name for linked_name in linked if linked_name != name), name]
         return linked
 
@@ -148,7 +158,12 @@ class ParentLinks:
             missing = [name for name in names if name not in self._wires]
             if not missing or time.monotonic() >= deadline:
                 return missing
-            time.sleep(0.005)
+            self.pause(0.005)
+
+    def pause(self, seconds: float) -> None:
+        """Wait, as for a message."""
+        with self._rules.work.waiting():
+            time.sleep(seconds)
 
     def receive_all(self, names: Collection[str], step: int | None = None) -> dict[str, Message | LinkLost]:
         """The next message of each child, or why its link was lost; in the order of `names`.
@@ -157,7 +172,7 @@ class ParentLinks:
         `step` as in `ChildLink.receive`. Only a message of more than `wire.FIRST_BYTES` that
         arrives beside a late one takes longer.
         """
-        deadline = time.monotonic() + self._rules.limit_s
+        deadline = self._rules.deadline()
         lost: dict[str, LinkLost] = {}
         for name in names:
             self._try(name, lost, lambda wire: wire.open(deadline))
@@ -179,7 +194,7 @@ class ParentLinks:
             num_bytes = memoryview(payload).nbytes
             if num_bytes > self._rules.most_bytes:
                 raise ValueError(f"A message of {num_bytes} bytes to {name} is too long: most_bytes is {self._rules.most_bytes}.")
-        deadline = time.monotonic() + self._rules.limit_s
+        deadline = self._rules.deadline()
         lost: dict[str, LinkLost] = {}
         for name, payload in messages.items():
             self._try(name, lost, lambda wire, payload=payload: wire.send(payload, step, deadline))
@@ -195,7 +210,7 @@ class ParentLinks:
     def close(self) -> None:
         """Close all links once their children have read the last message, at most `limit_s` in
         all."""
-        deadline = time.monotonic() + self._rules.limit_s
+        deadline = self._rules.deadline()
         for wire in self._wires.values():
             with contextlib.suppress(LinkLost):
                 wire.flush(deadline)

@@ -34,6 +34,7 @@ from radiant_app.together.exchange import (
 from radiant_app.together.holding import CONNECT_S
 from radiant_app.together.links import ChildLink, LinkLost, LinkRules, ParentLinks, Traffic, connect
 from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, mark_done, meeting_of
+from radiant_app.together.playing import play_machine
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.hierarchy.group_codec import load_begin
@@ -70,17 +71,19 @@ def relay(folder: Path, plan: GroupTraining, reporter: EventReporter) -> Relayed
     names = list(plan.of_devices)
     meeting = meeting_of(folder, f"edges/{folder.name}")
     meeting.mkdir(parents=True, exist_ok=True)
-    links = ParentLinks(meeting, names, LinkRules(limit_s=LATE_S))
-    relaying = _Relaying(folder=folder, plan=plan, links=links, reporter=reporter, key=content_key(__version__, plan))
-    try:
-        return relaying.run()
-    finally:
-        links.close()
+    with play_machine() as played:
+        links = ParentLinks(meeting, names, LinkRules(limit_s=LATE_S, work=played.work), played.down)
+        up = LinkRules(limit_s=GONE_S + LATE_S, pace=played.up, work=played.work)
+        relaying = _Relaying(folder=folder, plan=plan, links=links, up=up, reporter=reporter, key=content_key(__version__, plan))
+        try:
+            return relaying.run()
+        finally:
+            links.close()
 
 
 class _Relaying:
-    def __init__(self, *, folder: Path, plan: GroupTraining, links: ParentLinks, reporter: EventReporter, key: str) -> None:
-        self._folder, self._plan, self._links, self._reporter = folder, plan, links, reporter
+    def __init__(self, *, folder: Path, plan: GroupTraining, links: ParentLinks, up: LinkRules, reporter: EventReporter, key: str) -> None:
+        self._folder, self._plan, self._links, self._up, self._reporter = folder, plan, links, up, reporter
         self._children = self._new_children({})
         self._traffic = Traffic()
         self._relayed, self._num_refused = Relayed(), 0
@@ -192,8 +195,7 @@ class _Relaying:
         return True
 
     def _connect(self) -> ChildLink:
-        rules = LinkRules(limit_s=GONE_S + LATE_S)
-        return connect(meeting_of(self._folder, self._plan.root), self._folder.name, CONNECT_S, rules, self._traffic)
+        return connect(meeting_of(self._folder, self._plan.root), self._folder.name, CONNECT_S, self._up, self._traffic)
 
     def _answer(self, up: ChildLink, name: str, parts: Mapping[str, bytes]) -> bytes:
         """BEGIN for a device that comes back."""

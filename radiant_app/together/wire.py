@@ -15,18 +15,18 @@ gloo closes a connection for good when somebody waits in vain, or when the other
 Then the link is lost (`LinkLost`), and the two ends make a new one (`meeting`).
 """
 
-import math
 import struct
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from datetime import timedelta
 from typing import Any, NamedTuple
 
 import torch
 
+from radiant_app.together.playing import Pace, Work
 from radiant_core.errors import StageFailed
 
 FIRST_BYTES = 32 << 20 if sys.platform == "linux" else 4 << 10
@@ -64,30 +64,6 @@ class Message(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Pace:
-    """A slower link to emulate between processes of one machine, in each direction.
-
-    A message of n bytes may be read n / `bytes_per_s` + `latency_s` after it was sent, and n /
-    `bytes_per_s` after the message before it. The sender goes on at once, as over a real link.
-    """
-
-    bytes_per_s: float | None = None
-    """Bytes that the link carries in a second; `None`: as many as it can."""
-    latency_s: float = 0.0
-    """Seconds that a byte travels."""
-
-    def __post_init__(self) -> None:
-        if self.bytes_per_s is not None and not 0 < self.bytes_per_s < math.inf:
-            raise ValueError(f"bytes_per_s is {self.bytes_per_s}; it must be above 0 and finite, or None for no bound.")
-        if not 0 <= self.latency_s < math.inf:
-            raise ValueError(f"latency_s is {self.latency_s}; it must be 0 or more and finite.")
-
-    def carry_s(self, num_bytes: int) -> float:
-        """Seconds for which `num_bytes` occupy the link."""
-        return 0.0 if self.bytes_per_s is None else num_bytes / self.bytes_per_s
-
-
-@dataclass(frozen=True)
 class LinkRules:
     """What holds for every message of a link. Both ends need the same `most_bytes`."""
 
@@ -100,12 +76,19 @@ class LinkRules:
     """IP address of this machine to listen at; empty: see `meeting.device_at`."""
     pace: Pace = field(default_factory=Pace)
     """The slower link that is emulated in what this end sends."""
+    work: Work = field(default_factory=Work, compare=False)
+    """That of the emulated machine of this end, which a wait ends."""
 
     def __post_init__(self) -> None:
         if not 0 < self.limit_s < 1e6:
             raise ValueError(f"limit_s is {self.limit_s}; it must be above 0 and below a million seconds.")
         if self.most_bytes < 0:
             raise ValueError(f"most_bytes is {self.most_bytes}; it must be 0 or more.")
+
+    def deadline(self) -> float:
+        """Until when a peer is waited for from now on, once this end's work has taken its time."""
+        self.work.settle()
+        return time.monotonic() + self.limit_s
 
 
 @dataclass
@@ -257,28 +240,31 @@ class Wire:
         pace = self.rules.pace
         if pace.bytes_per_s is None and pace.latency_s == 0:
             return 0
-        self._free_at = max(self._free_at, time.monotonic()) + pace.carry_s(num_bytes)
+        self._free_at = max(self._free_at, self.rules.work.settle()) + pace.carry_s(num_bytes)
         return int((self._free_at + pace.latency_s) * 1e9)
 
     def _hold(self, due: float, deadline: float) -> None:
-        now = time.monotonic()
-        if due <= now:
+        begun = time.monotonic()
+        if due == 0.0:
             return
-        time.sleep(max(0.0, min(due, deadline) - now))
-        self.traffic.waited_s += time.monotonic() - now
-        if due > deadline:
+        with self.rules.work.waiting(until_s=due):
+            time.sleep(max(0.0, min(due, deadline) - time.monotonic()))
+        self.traffic.waited_s += time.monotonic() - begun
+        if due > max(deadline, begun):
             raise self.lose(f"{_LATE} {self.rules.limit_s:g} s")
 
     @contextmanager
     def _loss(self, deadline: float) -> Iterator[None]:
-        """Count the seconds that pass and turn gloo's errors into `LinkLost`."""
-        start = time.monotonic()
-        try:
-            yield
-        except RuntimeError as error:
-            raise self.lose(_reason(str(error), self.rules.limit_s)) from None
-        finally:
-            self.traffic.waited_s += time.monotonic() - start if deadline else 0.0
+        """Count the seconds that pass, which are a wait where there is a deadline, and turn gloo's
+        errors into `LinkLost`. What comes is there when it is due, whenever it arrives here."""
+        with self.rules.work.waiting(until_s=0.0) if deadline else nullcontext():
+            start = time.monotonic()
+            try:
+                yield
+            except RuntimeError as error:
+                raise self.lose(_reason(str(error), self.rules.limit_s)) from None
+            finally:
+                self.traffic.waited_s += time.monotonic() - start if deadline else 0.0
 
 
 def _view(tensor: torch.Tensor) -> memoryview:

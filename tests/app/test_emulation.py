@@ -6,27 +6,30 @@ Speeds are small, so that a busy machine can still give them; what counts is the
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from radiant_app.events import Event, StageDone, StageProgress, Warned
 from radiant_app.executors import emulated_node, local
-from radiant_app.executors.emulated import EmulatedExecutor, emulated_figures, require_emulable
+from radiant_app.executors.emulated import RESUMED, EmulatedExecutor, emulated_figures, require_emulable
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import load_system
 from radiant_app.report.html import timeline_of_emulation
+from radiant_app.together.playing import KEEPS, LINKS, SHARE, WORKED
 from radiant_core.aggregate.tree import Tree, refined_at, with_gangs
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.io.run_store import SEAL_NAME, seal
+from radiant_core.io.run_store import SEAL_NAME, seal, write_json
 from radiant_core.plan.system import System
 
 WAIT_S = 30.0
@@ -106,6 +109,83 @@ def test_an_emulated_gang_runs_at_once_whatever_the_speeds(tmp_path: Path) -> No
     times = executor(system(tmp_path, (0.5, 0.1)), scripts).fold(tree, preparer(tmp_path), lambda event: None)
     ended = [times[node_id].ended_s for node_id in scripts]
     assert max(times[node_id].started_s for node_id in scripts) < min(ended) and times["cloud"].started_s >= max(ended)
+
+
+STEPS = f"""
+import socket, struct, time
+keeper = socket.socket(fileno=int(os.environ[{SHARE!r}].split()[0]))
+keeper.sendall({KEEPS!r})
+keeper.recv(1)
+{{meanwhile}}
+keeper.sendall(struct.pack({WORKED.format!r}, {{cpu_s}}, {{seconds}}))
+keeper.recv(1)
+"""
+"""What a machine does that trains together with others, in few words."""
+GANG = with_gangs(TREE, lambda node_id: None if node_id == "cloud" else "edges/e")
+
+
+def test_a_machine_that_waits_for_others_in_its_steps_has_no_credit_for_that_and_is_not_called_late(tmp_path: Path) -> None:
+    """1.5 s of waiting would pay for 0.15 s of a tenth of a core. What it says of its steps outweighs what this machine delays."""
+    events: list[Event] = []
+    script = STEPS.format(meanwhile="time.sleep(1.5)", cpu_s=5.0, seconds=50.0) + BURN.format(cpu_s=0.1) + FINISH
+    times = executor(system(tmp_path, (0.1, 0.5)), {"devices/a": script}).fold(GANG, preparer(tmp_path), events.append)
+    assert times["devices/a"].ended_s - times["devices/a"].started_s > 1.5 + 0.1 / 0.1
+    assert not [event for event in events if isinstance(event, Warned) and event.stage == "devices/a"]
+
+
+def test_a_machine_that_others_delayed_in_its_steps_is_named(tmp_path: Path) -> None:
+    events: list[Event] = []
+    script = STEPS.format(meanwhile="pass", cpu_s=0.1, seconds=10.0) + FINISH
+    executor(system(tmp_path, (0.5, 0.5)), {"devices/a": script}).fold(GANG, preparer(tmp_path), events.append)
+    (warned,) = [event.message for event in events if isinstance(event, Warned) and event.stage == "devices/a"]
+    assert "of a core instead of 0.5" in warned
+
+
+@pytest.mark.parametrize("meanwhile", ["os.kill(os.getpid(), 9)", "keeper.close(); raise SystemExit(3)", "os._exit(3)"])
+def test_how_a_machine_ended_in_its_steps_is_told_as_ever(tmp_path: Path, meanwhile: str) -> None:
+    script = STEPS.format(meanwhile=meanwhile, cpu_s=0, seconds=0)
+    with pytest.raises(StageFailed, match="signal 9" if "kill" in meanwhile else "ended with code 3"):
+        executor(system(tmp_path, (0.5, 0.5)), {"devices/b": script}).fold(GANG, preparer(tmp_path), lambda event: None)
+
+
+def test_machines_that_train_together_know_their_links_and_the_edge_alone_sends_a_model(tmp_path: Path) -> None:
+    """1,000,000 bytes at 8 Mbit/s take a second; devices keep theirs."""
+    fleet = system(tmp_path, (0.5, 0.5), (8.0, 4.0))
+    slow = replace(fleet.edges[0], uplink_bytes_per_s=1e6, latency_s=0.25)
+    fleet = replace(fleet, edges=(slow,), cloud=replace(fleet.cloud, latency_s=0.5))
+    told = f"open('links', 'w').write(os.environ[{LINKS!r}])\n{FINISH}"
+    tree = with_gangs(TREE, lambda node_id: "cloud")
+    manifest = Manifest(folder=tmp_path, config={})
+    begun_s = time.monotonic()
+    nodes = ("cloud", "edges/e", "devices/a", "devices/b")
+    prepare = preparer(tmp_path, dict.fromkeys(nodes, 1_000_000))
+    executor(fleet, dict.fromkeys(nodes, told)).fold(tree, prepare, lambda event: manifest.record(event, time.monotonic() - begun_s))
+    links = {node: json.loads((tmp_path / node / "links").read_text()) for node in nodes}
+    assert links["cloud"]["down"] == {"e": [1e6, 0.5]} and links["edges/e"]["up"] == [1e6, 0.5]
+    assert links["edges/e"]["down"] == {"a": [1e6, 0.25], "b": [5e5, 0.25]}
+    assert links["devices/a"]["up"] == [1e6, 0.25] and links["devices/b"]["up"] == [5e5, 0.25]
+    spans = {node: manifest.emulated[f"{node}/uplink"] for node in ("edges/e", "devices/a", "devices/b")}
+    sending_s = {node: span["ended_s"] - span["started_s"] for node, span in spans.items()}
+    assert sending_s["edges/e"] == pytest.approx(1.0, abs=0.15) and max(sending_s["devices/a"], sending_s["devices/b"]) < 0.1
+    write_json(tmp_path / "devices/a/summary.json", {"sent_bytes": 777})
+    write_json(tmp_path / "edges/e/summary.json", {"sent_bytes": 333})
+    figures = emulated_figures(tmp_path, tree, (), manifest)
+    sent = figures["emulated_bytes"]
+    assert (sent["devices/a"], sent["devices/b"], sent["edges/e"]) == (777, 0, 1_000_333)
+    seconds = figures["emulated_seconds"]
+    assert figures["emulated_makespan_s"] == max(seconds[node] for node in spans), "all at once"
+    cloud_s = manifest.stages["cloud"]["ended_s"] - manifest.stages["cloud"]["started_s"]
+    assert figures["emulated_scene_s"] == max(cloud_s, figures["emulated_makespan_s"])
+
+
+def test_a_node_that_goes_on_from_a_checkpoint_has_no_whole_time(tmp_path: Path) -> None:
+    manifest = Manifest(folder=tmp_path, config={})
+    (tmp_path / "edges/e/checkpoints/0001").mkdir(parents=True)
+    executor(system(tmp_path, (0.5, 0.5)), {}).fold(GANG, preparer(tmp_path), lambda event: manifest.record(event, time.monotonic()))
+    assert [warning for warning in manifest.warnings if "checkpoint" in warning] == [f"edges/e: {RESUMED}"]
+    figures = emulated_figures(tmp_path, GANG, (), manifest)
+    assert figures["emulated_makespan_s"] is figures["emulated_scene_s"] is None
+    assert "went on from a checkpoint" in figures["emulated_reason"] and figures["emulated_seconds"]["edges/e"] > 0
 
 
 def test_a_model_arrives_when_its_last_byte_would_and_the_edge_waits_for_it(tmp_path: Path) -> None:
@@ -204,8 +284,6 @@ def test_a_machine_that_cannot_play_the_system_says_what_to_change(tmp_path: Pat
 
 
 def _renamed(emulated: System, name: str):
-    from dataclasses import replace
-
     edge = emulated.edges[0]
     return replace(edge, id=name, devices=tuple(replace(device, id=f"{name}{device.id}") for device in edge.devices))
 

@@ -13,9 +13,12 @@ from radiant_app.config.fields import config_of
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, TrainOptions
 from radiant_app.events import Decided, Event
 from radiant_app.files.system_file import even_system, load_system
+from radiant_app.run.foreseen import planned_makespan_s
 from radiant_app.run.grouping import VIEW_S, choose_run_groups, group_rules, obstacle_of
 from radiant_app.run.stages import costs_of_run
+from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
+from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.region_plan import plan_regions
@@ -131,6 +134,7 @@ def test_a_views_time_and_the_views_of_all_follow_the_policy_of_steps(tmp_path: 
     [
         ({}, None),
         ({"frames": "known"}, None),
+        ({"emulate": Path("system.toml")}, None),
         ({"frames": "gps"}, "frames by GPS are not exact"),
         ({"frames": "gps", "execution": ExecutionOptions(executor="network")}, "machines of several owners"),
         ({"aggregate": AggregateOptions(preset="paper")}, "the paper joins models"),
@@ -148,6 +152,11 @@ def test_runs_in_which_nobody_can_train_together_join(changes: dict, obstacle: s
 def test_to_ask_for_it_there_is_refused(option: str, where: dict) -> None:
     with pytest.raises(BadInput, match="machines that train together need one exact frame"):
         config_of({"source": Path("photos"), "out": Path("run"), option: "together", **where})
+
+
+def test_to_ask_for_it_of_emulated_machines_is_taken() -> None:
+    asked = config_of({"source": Path("photos"), "out": Path("run"), "emulate": Path("s.toml"), "plan.between_edges": "together"})
+    assert asked.emulated and asked.plan.asks_together and obstacle_of(asked) is None
 
 
 def test_masks_are_asked_for_with_machines_that_train_together_alone() -> None:
@@ -173,3 +182,19 @@ def test_an_exchange_between_two_processes_is_measured() -> None:
     # A thread that waits is not woken in less than a microsecond; a second is no exchange of 1 kB.
     assert 1e-6 < measured.latency_s < 1.0
     assert 1e-11 < measured.add_s_per_byte < 1e-5
+
+
+def test_a_planned_makespan_is_of_the_steps_of_those_that_train_together_and_of_the_edges_that_do_not() -> None:
+    system, positions = place_edges(even_system(2, 2)), np.random.default_rng(0).random((NUM_PHOTOGRAPHS, 2)) * 100
+    plan = plan_regions(positions, system)
+    assert isinstance(plan, CloudPlan)
+    edges = split_edges(positions, plan, system)
+    recipe = Recipe(system=system, cloud_plan=plan, edge_plans=edges, train=TRAIN, aggregate=AggregateConfig(), backend="native")
+    first, second = system.edges
+    views = {device.id: 1 for device in first.devices}
+    group = GroupPlan(level="edge", edges=(first.id,), views=views, num_photographs=30, num_steps=100, step_s=1.0, start_s=5.0, end_s=2.0)
+    assert planned_makespan_s(recipe, ()) == plan.makespan_s
+    assert planned_makespan_s(recipe, (group,)) == max(107.0, plan.edge_time_s[1])
+    assert planned_makespan_s(recipe, (replace(group, step_s=0.01),)) == plan.edge_time_s[1] > 8.0
+    of_all = replace(group, level="cloud", edges=(first.id, second.id), step_s=0.01)
+    assert planned_makespan_s(recipe, (of_all,)) == pytest.approx(8.0) != plan.makespan_s

@@ -30,7 +30,7 @@ from radiant_app.report.ground_control import placing_of_run, survey_of_run
 from radiant_app.report.prediction_error import prediction_of
 from radiant_app.run.conducting import conduct
 from radiant_app.run.dealing import deal_files
-from radiant_app.run.foreseen import foresee, slowdown
+from radiant_app.run.foreseen import foresee, planned_makespan_s, slowdown
 from radiant_app.run.here import Here
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
@@ -137,7 +137,9 @@ def run(
         emulation = emulated_figures(config.out, conducted.tree, rounds, manifest) if config.emulated else {}
         missed = {"not_refined": left_out(dealer, rounds), "partly_refined": partly_left_out(dealer, rounds)}
         refined = {"refined": dealer.version == REFINED, **missed}
-        more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **refined, **emulation}
+        makespan_s, bound_s = planned_makespan_s(dealer.recipe, plan.groups), dealer.recipe.cloud_plan.lower_bound_s
+        planned = {"planned_makespan_s": makespan_s, "plan_lower_bound_s": bound_s}
+        more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **planned, **refined, **emulation}
         metrics = _write_metrics(config, manifest, dealer.recipe, more)
         manifest.status = "done"
         draw_report(config.out, manifest, metrics, whole)
@@ -204,10 +206,9 @@ def _locate_photographs(config: RunConfig, system: System, owners: OwnersMachine
 
 
 def _write_metrics(config: RunConfig, manifest: Manifest, recipe: Recipe, more: dict[str, Any]) -> dict[str, Any]:
-    run, cloud_plan = config.out, recipe.cloud_plan
+    run = config.out
     result = read_json(run / "evaluation" / "result.json", ("images", "psnr_db"))
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
-    planned = {"planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
     edge_plans = load_plan(run / "plan.json")[1]
     # What devices that place their own photographs need beside training is mostly that.
     num_cameras, num_devices = sum(len(plan.camera_indices) for plan in edge_plans), len(recipe.system.devices)
@@ -218,6 +219,6 @@ def _write_metrics(config: RunConfig, manifest: Manifest, recipe: Recipe, more: 
     if (survey := survey_of_run(run)) is not None:
         more = {SURVEY: survey, **more}
     more = {**placing_of_run(run), **more}
-    metrics = {**result, "seconds": seconds, **costs, **planned, "prediction": prediction, "promises": promises, **more}
+    metrics = {**result, "seconds": seconds, **costs, "prediction": prediction, "promises": promises, **more}
     write_json(run / "metrics.json", metrics)
     return metrics
