@@ -271,7 +271,7 @@ def _map_row(
     cell, count = sights.facets.surface.grid.cell, len(sights.facets)
 
     def errors(cameras: Cameras, pictures: Sequence[NDArray[np.uint8]], sightings: Sequence[Sighting]) -> list[FloatArray]:
-        return list(errors_in_views(splats, cameras, pictures, sightings, cell))
+        return list(errors_in_views(splats, cameras, pictures.__getitem__, sightings, cell))
 
     train_rows, held_rows = np.flatnonzero(~held_out), np.flatnonzero(held_out)
     train = TrainingErrors(

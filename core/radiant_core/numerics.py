@@ -59,8 +59,9 @@ def _convert(name: str, value: ArrayLike, dtype: type) -> NDArray[Any]:
 
 def require_finite(name: str, array: NDArray[Any]) -> None:
     """Raise BadInput naming the array, count and first index of values that are not finite."""
-    bad = ~np.isfinite(array)
-    if bad.any():
+    is_finite = np.isfinite(array)
+    if not is_finite.all():
+        bad = ~is_finite
         first = tuple(int(axis[0]) for axis in np.nonzero(bad))
         raise BadInput(f"{name} has {int(bad.sum())} values that are not finite, the first at index {first}: remove them first.")
 

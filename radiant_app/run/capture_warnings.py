@@ -11,8 +11,9 @@ from radiant_core.io.photos.listing import load_thumbnail
 from radiant_core.next_flight.capture_faults import CaptureFault, capture_faults
 from radiant_core.scene import SfmScene
 from radiant_core.survey.seen_ground import usual_depth
+from radiant_core.threads import in_order
 
-THUMBNAIL_PX = 160
+THUMBNAIL_PX, NUM_READERS = 160, 8
 
 
 def faults_of_capture(scene: SfmScene, images: Path | None) -> tuple[CaptureFault, ...]:
@@ -22,7 +23,7 @@ def faults_of_capture(scene: SfmScene, images: Path | None) -> tuple[CaptureFaul
     at_hand = images is not None and all((images / name).is_file() for name in names)
     pictures: list[NDArray[np.uint8]] | None = None
     if images is not None and at_hand:
-        pictures = [load_thumbnail(images / name, THUMBNAIL_PX) for name in names]
+        pictures = list(in_order(lambda name: load_thumbnail(images / name, THUMBNAIL_PX), names, NUM_READERS))
     return capture_faults(scene, usual_depth(scene), pictures)
 
 

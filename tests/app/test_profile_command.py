@@ -23,7 +23,7 @@ from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event, Listener, StageDone, StageProgress, StageStarted, Warned
 from radiant_app.executors import fork_server, local
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.files.profile_file import load_profile
+from radiant_app.files.profile_file import library_profiles, load_profile
 from radiant_app.files.run_folder import Manifest, recorded_config
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.predictions import planned_training
@@ -372,7 +372,13 @@ def test_photographs_that_are_not_there_leave_no_file(tmp_path: Path) -> None:
 
 def test_the_command_prints_the_library_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     profile_cli(list_known=True)
-    assert "rtx-4090" in capsys.readouterr().out
+    listed = capsys.readouterr().out
+    assert max(map(len, listed.splitlines())) <= 80
+    for name, path in library_profiles().items():
+        known = load_profile(path)
+        (row,) = [line for line in listed.splitlines() if line.startswith(f"{name} ")]
+        assert row.endswith(known.machine)
+        assert f"{name}: {known.key!s}. {known.source}" in " ".join(listed.split())
     run = run_folder(tmp_path / "run")
     profile_cli(out=tmp_path / "mine.toml", from_run=run, as_json=True)
     assert json.loads(capsys.readouterr().out)["largest_count"] == 10

@@ -158,6 +158,23 @@ def test_a_picture_of_a_model_alone_has_its_roofs_and_pits_and_not_its_sky() -> 
     assert around[3800:].mean() < 0.05
 
 
+def test_a_model_alone_reaches_as_far_as_its_ground_goes_on() -> None:
+    rng = np.random.default_rng(5)
+    # Most of it in its middle, as where photographs overlap most; its haze is far and thin.
+    parts = {"middle": (2000, 20.0), "ground": (6000, 40.0), "haze": (600, 200.0)}
+    places = {name: rng.uniform(-half, half, (count, 2)) for name, (count, half) in parts.items()}
+    places["haze"] = places["haze"][np.abs(places["haze"]).max(axis=1) > 60]
+    names = np.repeat(list(parts), [len(places[name]) for name in parts])
+    xy = np.concatenate([places[name] for name in parts])
+    source = made_up_town().splats
+    model = source.select(rng.integers(0, len(source), len(xy)))
+    means = np.column_stack([xy, rng.normal(0, 0.5, len(xy))])
+    model = replace(model, means=means, log_scales=np.full((len(xy), 3), np.log(0.3)), logit_opacities=np.full(len(xy), 3.0))
+    around = shown_model(model, model_box(model)).around
+    assert around[names == "haze"].all()
+    assert around[names != "haze"].mean() < 0.02
+
+
 def test_both_captions_count_all_gaussians_and_name_the_hidden(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
     monkeypatch.setattr(run_pictures, "draw_splat_view", lambda *_: None)

@@ -25,14 +25,16 @@ def correct_colors(render: ArrayLike, photograph: ArrayLike, used: Used = None) 
     """The render (H,W,3) corrected towards the photograph (H,W,3) by its `used` pixels, all in
     0..1; BadInput on other shapes or values."""
     render, photograph = check_image_pair(render, photograph)
-    chosen = slice(None) if used is None else check_used(used, render).ravel()
-    x, y = render.reshape(-1, 3)[chosen], photograph.reshape(-1, 3)[chosen]
-    missing = y - x
-    # Products are several times as fast as means along the pixels; λ is far above their rounding.
-    per_pixel = np.full(len(x), 1 / len(x))
-    x_mean, missing_mean = per_pixel @ x, per_pixel @ missing
-    gram = x.T @ x / len(x) - np.outer(x_mean, x_mean) + MIN_SPREAD**2 * np.eye(3)
-    change = np.linalg.solve(gram, x.T @ missing / len(x) - np.outer(x_mean, missing_mean))
-    corrected = render.reshape(-1, 3) @ (np.eye(3) + change)
+    x, missing, count = render, photograph - render, render[..., 0].size
+    if used is not None:
+        chosen = check_used(used, render)
+        x, missing, count = np.where(chosen[..., None], x, 0), np.where(chosen[..., None], missing, 0), int(chosen.sum())
+    x_mean, missing_mean = (part.sum(axis=0).sum(axis=0) / count for part in (x, missing))
+    # Line by line: BLAS would share larger products out to threads, which spin on.
+    lines = x.transpose(0, 2, 1)
+    gram, shift = ((lines @ part).sum(axis=0) / count - np.outer(x_mean, mean) for part, mean in ((x, x_mean), (missing, missing_mean)))
+    # λ is far above their rounding.
+    change = np.linalg.solve(gram + MIN_SPREAD**2 * np.eye(3), shift)
+    corrected = render @ (np.eye(3) + change)
     corrected += missing_mean - x_mean @ change
-    return np.clip(corrected, 0, 1, out=corrected).reshape(render.shape)
+    return np.clip(corrected, 0, 1, out=corrected)

@@ -19,6 +19,7 @@ from radiant_core.survey.heights import MEASURED, RENDERING, UNKNOWN, HeightMap,
 from radiant_core.survey.map_grid import MapFrame, MapGrid
 from radiant_core.survey.seen_ground import SeenGround
 from radiant_core.survey.surface_points import points_of_model
+from radiant_core.train.dense.fuse import DensePoints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,11 +35,11 @@ class MapView:
 def facets_of_model(splats: Splats, scene: SfmScene, ground: SeenGround, grid: MapGrid, view: MapView) -> Facets:
     """Facets of the ground that was seen, and of measured cells beside it; BadInput where no three
     views agree on any point."""
-    parts = [
-        view.map_frame.from_world(part.points[view.keeps(part.points)])
-        for part in points_of_model(splats, scene, view.long_side_px, ground.reach, view.report)
-        if len(part)
-    ]
+
+    def to_map(part: DensePoints) -> FloatArray:
+        return view.map_frame.from_world(part.points[view.keeps(part.points)])
+
+    parts = list(points_of_model(splats, scene, view.long_side_px, ground.reach, view.report, to_map))
     if not any(len(part) for part in parts):
         raise BadInput("no three views of the model agree on any point of the surface: train it further, or add photographs that overlap.")
     widest = float(np.median(scene.cameras.sizes_wh.max(axis=1)))

@@ -17,7 +17,7 @@ held-out photograph.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -34,7 +34,7 @@ from radiant_core.io.photos.masks import used_pixels
 from radiant_core.next_flight.facets import Rows
 from radiant_core.next_flight.sightings import Sighting
 from radiant_core.numerics import FloatArray
-from radiant_core.render.rendered_view import render_views
+from radiant_core.render.rendered_view import RenderedView, use_views
 from radiant_core.splats import Splats
 
 NUM_FOLDS, NUM_ROUNDS = 5, 8
@@ -108,29 +108,38 @@ class ErrorModel:
 def errors_in_views(
     splats: Splats,
     cameras: Cameras,
-    images: Iterable[NDArray[np.uint8]],
+    image_of: Callable[[int], NDArray[np.uint8]],
     sightings: Sequence[Sighting],
     cell: float,
     weights: Sequence[NDArray[np.uint8]] | None = None,
 ) -> Iterator[FloatArray]:
     """Per camera the mean squared error (R,) of the model about the pixels of the facets that it
-    sees, over a square as wide as a cell there usually is; images (H,W,3) of the cameras' sizes.
-    weights: used shares (H,W) of their pixels; NaN at facets behind what a mask leaves out.
-    ValueError where sightings are of pictures of another size."""
-    for index, (view, image, sighting) in enumerate(zip(render_views(splats, cameras), images, sightings, strict=True)):
+    sees, over a square as wide as a cell there usually is; image_of: the photograph (H,W,3) of a
+    camera's index and size, asked for by threads. weights: used shares (H,W) of their pixels; NaN
+    at facets behind what a mask leaves out. ValueError where sightings are of pictures of another
+    size."""
+    for index, sighting in zip(range(len(cameras)), sightings, strict=True):
         if (sighting.pixels >= cameras.sizes_wh[index] + 1).any():
             raise ValueError(f"a sighting is of pixels beyond a picture of {cameras.sizes_wh[index].tolist()} px")
-        photograph = image.astype(np.float32) / 255
+
+    def errors(index: int, view: RenderedView) -> FloatArray:
         used = None if weights is None else used_pixels(weights[index])
         if used is not None and not used.any():
-            yield np.full(len(sighting.rows), np.nan)
-            continue
+            return np.full(len(sightings[index].rows), np.nan)
+        photograph = image_of(index).astype(np.float32) / 255
         difference = correct_colors(view.image, photograph, used) - photograph
-        squared = np.einsum("hwc,hwc->hw", difference, difference) / 3
-        side = max(1, round(cell / float(np.median(sighting.gsd)))) if len(sighting.rows) else 1
-        smooth = _mean_about(squared, side, used)
-        columns, lines = sighting.pixels.astype(np.int64).T if len(sighting.rows) else np.zeros((2, 0), np.int64)
-        yield smooth[np.minimum(lines, smooth.shape[0] - 1), np.minimum(columns, smooth.shape[1] - 1)].astype(np.float64)
+        return _errors_at(sightings[index], np.einsum("hwc,hwc->hw", difference, difference) / 3, cell, used)
+
+    return use_views(splats, cameras, errors)
+
+
+def _errors_at(sighting: Sighting, squared: FloatArray, cell: float, used: Used) -> FloatArray:
+    """Means (R,) of squared errors (H,W) about the pixels of a sighting."""
+    if not len(sighting.rows):
+        return np.zeros(0)
+    smooth = _mean_about(squared, max(1, round(cell / float(np.median(sighting.gsd)))), used)
+    columns, lines = sighting.pixels.astype(np.int64).T
+    return smooth[np.minimum(lines, smooth.shape[0] - 1), np.minimum(columns, smooth.shape[1] - 1)].astype(np.float64)
 
 
 def _mean_about(squared: FloatArray, side: int, used: Used) -> FloatArray:

@@ -23,6 +23,7 @@ from radiant_core.geometry.support import MIN_PARALLAX_DEG, MIN_VIEWS
 from radiant_core.next_flight.facets import Facets, Rows
 from radiant_core.numerics import FloatArray
 from radiant_core.survey.map_grid import MapFrame
+from radiant_core.threads import in_order, usual_threads
 
 MIN_FACING = 0.17
 """Cosine of the largest angle, 80°, between a ray and the normal of a facet that counts as seen."""
@@ -114,9 +115,9 @@ class Sights:
     def all_of(self, cameras: Cameras, report: Callable[[int, int], None] = lambda num_done, total: None) -> tuple[Sighting, ...]:
         """What each camera sees; `report` hears how many are done."""
         sightings, eyes = list[Sighting](), self.map_frame.from_world(cameras.centers)
-        for index in range(len(cameras)):
-            sightings.append(self._sighting(cameras, index, eyes[index]))
-            report(index + 1, len(cameras))
+        for sighting in in_order(lambda index: self._sighting(cameras, index, eyes[index]), range(len(cameras)), usual_threads()):
+            sightings.append(sighting)
+            report(len(sightings), len(cameras))
         return tuple(sightings)
 
 

@@ -17,6 +17,7 @@ from radiant_core.splats import SH_BASES
 
 MAX_SIDE_PX = 1_000_000
 """A longer side of a picture is refused: float32 has too few digits for its pixels."""
+FAR_M = 1e10
 MAX_FAR_M = 1e15
 """What is farther is not drawn, whatever far_m says: squares of such depths would leave float32."""
 
@@ -31,7 +32,7 @@ def rasterize(
     sh_degree: int,
     background: Tensor | None = None,
     near_m: float = 0.01,
-    far_m: float = 1e10,
+    far_m: float = FAR_M,
     antialiased: bool | None = None,
     absgrad: bool = False,
     weights: bool = False,
@@ -71,13 +72,23 @@ def rasterize(
         weights=weights,
         background=torch.zeros(3, device=splats.means.device) if background is None else background.to(splats.means.device),
     )
-    _check(splats, viewmats, Ks, view)
+    _check_tensors(splats, viewmats, Ks, view)
+    _check_cameras(viewmats, Ks)
+    return rasterize_sound(splats, viewmats, Ks, view, backend)
+
+
+def rasterize_sound(
+    splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions, backend: Backend, threads: int | None = None
+) -> RenderOutput:
+    """`rasterize` for tensors of `Splats` and `Cameras`, which have checked all of their values;
+    `threads` of the native backend, by default torch's. BadInput for what `view` asks for."""
+    _check_view(splats, view)
     if backend == "auto":
         backend = _backend_for(splats, viewmats, Ks)
     if backend == "gsplat":
         return rasterize_gsplat(splats, viewmats, Ks, view)
     if backend == "native":
-        return rasterize_native(splats, viewmats, Ks, view)
+        return rasterize_native(splats, viewmats, Ks, view, threads=threads)
     return rasterize_reference(splats, viewmats.to(splats.means), Ks.to(splats.means), view)
 
 
@@ -90,7 +101,7 @@ def _backend_for(splats: SplatTensors, viewmats: Tensor, Ks: Tensor) -> Backend:
     return "gsplat" if devices == {"cuda"} and missing_for_gsplat() is None else "reference"
 
 
-def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> None:
+def _check_tensors(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> None:
     count, cameras = (tensor.shape[0] if tensor.ndim else 0 for tensor in (splats.means, viewmats))
     bases = splats.shN.shape[1] if splats.shN.ndim == 3 else 0
     shapes = {
@@ -111,14 +122,21 @@ def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions
     if fault is not None:
         name, count, first = fault
         raise BadInput(f"{name} has {count} values that are not finite, the first at index {first}: remove them first.")
+    if cameras == 0:
+        raise BadInput("viewmats holds no camera: pass at least one.")
+
+
+def _check_view(splats: SplatTensors, view: ViewOptions) -> None:
+    bases = splats.shN.shape[1]
     if not 0 <= view.sh_degree <= 3 or SH_BASES[view.sh_degree] > bases + 1:
         raise BadInput(f"sh_degree is {view.sh_degree} but shN has {bases} bases: use a degree these bases can hold.")
     if not (1 <= view.width <= MAX_SIDE_PX and 1 <= view.height <= MAX_SIDE_PX):
         raise BadInput(f"the image is {view.width} × {view.height} px, expected sides of 1 to {MAX_SIDE_PX:,} px.")
-    if cameras == 0:
-        raise BadInput("viewmats holds no camera: pass at least one.")
     if not 0 <= view.near_m < view.far_m:
         raise BadInput(f"near_m is {view.near_m} and far_m {view.far_m}, expected 0 ≤ near_m < far_m: only what is in front is drawn.")
+
+
+def _check_cameras(viewmats: Tensor, Ks: Tensor) -> None:
     # In Python, where a few numbers cost less than one operation of torch.
     for index, pose in enumerate(viewmats.detach().flatten(1).tolist()):
         if not _is_rigid(pose):

@@ -11,6 +11,8 @@ others do not agree on.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -20,9 +22,10 @@ from scipy.spatial import KDTree
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.geometry.surface import sharpen_opacities, trusted_depth
-from radiant_core.render.rendered_view import render_views
+from radiant_core.render.rendered_view import RenderedView, use_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
+from radiant_core.threads import in_order, usual_threads
 from radiant_core.train.dense.depth_planes import DepthPlanes
 from radiant_core.train.dense.fuse import DensePoints, agreed_points
 from radiant_core.train.dense.points import NUM_CHECKED, depth_maps, smaller_views
@@ -34,6 +37,11 @@ STRIDE_PX = 2
 MAX_DEPTH = 3.0
 """Rendered depth beyond so many usual depths is sky or horizon."""
 Report = Callable[[int, int], None]
+Used = TypeVar("Used")
+
+
+def _as_they_are(points: DensePoints) -> DensePoints:
+    return points
 
 
 def points_of_photographs(scene: SfmScene, views: TrainingViews, *, num_threads: int, report: Report) -> Iterator[DensePoints]:
@@ -46,20 +54,34 @@ def points_of_photographs(scene: SfmScene, views: TrainingViews, *, num_threads:
     partners = choose_sources(scene, NUM_CHECKED)
     total = 2 * len(views)
     maps = depth_maps(scene, views, partners, seed=0, num_threads=num_threads, report=lambda num_done: report(num_done, total))
-    return _agreed(maps, views.cameras, partners, views.images, report)
+    matched = _Matched(maps=maps, cameras=views.cameras, partners=partners, images=views.images)
+    for index in matched.rows:
+        report(len(views) + index, total)
+        yield matched.points(index)
 
 
-def points_of_model(splats: Splats, scene: SfmScene, long_side_px: int, reach: float, report: Report) -> Iterator[DensePoints]:
-    """Agreed points of the model seen by each of the scene's C cameras; `reach` is the usual
-    depth. Raises BadInput where no camera has a neighbour that sees the same."""
+def points_of_model(
+    splats: Splats, scene: SfmScene, long_side_px: int, reach: float, report: Report, use: Callable[[DensePoints], Used] = _as_they_are
+) -> Iterator[Used]:
+    """Agreed points of the model seen by each of the scene's C cameras, or what `use` makes of
+    them, in threads as they come; `reach` is the usual depth. Raises BadInput where no camera has a
+    neighbour that sees the same."""
     cameras = scene.cameras.scaled(long_side_px)
     maps: list[DepthPlanes | None] = []
     images: list[NDArray[np.uint8]] = []
-    for index, view in enumerate(render_views(sharpen_opacities(splats), cameras)):
-        report(index, 2 * len(cameras))
-        maps.append(planes_of_depth(trusted_depth(view, MAX_DEPTH * reach)))
-        images.append(view.image_bytes)
-    return _agreed(maps, cameras, _partners(scene), tuple(images), report)
+
+    def planes_of(index: int, view: RenderedView) -> tuple[DepthPlanes, NDArray[np.uint8]]:
+        return planes_of_depth(trusted_depth(view, MAX_DEPTH * reach)), view.image_bytes
+
+    for planes, image in use_views(sharpen_opacities(splats), cameras, planes_of):
+        report(len(maps), 2 * len(cameras))
+        maps.append(planes)
+        images.append(image)
+    matched = _Matched(maps=maps, cameras=cameras, partners=_partners(scene), images=tuple(images))
+    used = in_order(lambda index: use(matched.points(index)), matched.rows, usual_threads())
+    for index, part in zip(matched.rows, used, strict=True):
+        report(len(cameras) + index, 2 * len(cameras))
+        yield part
 
 
 def planes_of_depth(depth: NDArray[np.float32]) -> DepthPlanes:
@@ -88,23 +110,31 @@ def finer(planes: DepthPlanes, shape: tuple[int, int]) -> DepthPlanes:
     return DepthPlanes(planes=moved, costs=planes.costs[at[0][:, None], at[1]], first=0, step=STRIDE_PX)
 
 
-def _agreed(
-    maps: list[DepthPlanes | None],
-    cameras: Cameras,
-    partners: Sequence[NDArray[np.int64]],
-    images: Images,
-    report: Report,
-) -> Iterator[DensePoints]:
-    if not any(len(others) > 1 for others in partners):
-        raise BadInput("no photograph shares points with two others, so no height can be checked: add photographs that overlap.")
-    for index, planes in enumerate(maps):
-        report(len(maps) + index, 2 * len(maps))
-        if planes is None:
-            continue
-        width, height = cameras.sizes_wh[index].tolist()
-        refined_maps = list(maps)
-        refined_maps[index] = planes if planes.step == STRIDE_PX else finer(planes, (height, width))
-        yield agreed_points(refined_maps, cameras, index, partners[index], images[index])
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Matched:
+    """Photographs or views with a map each, None where there is none, and who checks whom. Raises
+    BadInput where nobody checks anything."""
+
+    maps: list[DepthPlanes | None]
+    cameras: Cameras
+    partners: Sequence[NDArray[np.int64]]
+    images: Images
+
+    def __post_init__(self) -> None:
+        if not any(len(others) > 1 for others in self.partners):
+            raise BadInput("no photograph shares points with two others, so no height can be checked: add photographs that overlap.")
+
+    @property
+    def rows(self) -> list[int]:
+        """Those with a map."""
+        return [index for index, planes in enumerate(self.maps) if planes is not None]
+
+    def points(self, index: int) -> DensePoints:
+        """What enough partners agree on."""
+        width, height = self.cameras.sizes_wh[index].tolist()
+        planes, maps = self.maps[index], list(self.maps)
+        maps[index] = planes if planes is None or planes.step == STRIDE_PX else finer(planes, (height, width))
+        return agreed_points(maps, self.cameras, index, self.partners[index], self.images[index])
 
 
 def _partners(scene: SfmScene) -> Sequence[NDArray[np.int64]]:

@@ -11,6 +11,7 @@ import os
 import platform
 import shutil
 import tempfile
+import textwrap
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -47,6 +48,7 @@ from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
 
 DEFAULT_TIME_S = 240.0
+TABLE_COLUMNS = 80
 _DEVICE_CURVES = ("init_s", "train_s", "model_bytes")
 
 
@@ -186,13 +188,20 @@ def _epochs(node: Path) -> int | None:
 
 
 def library_table() -> str:
-    """The library's machines, aligned, each with the source of its figures."""
-    lines = [f"{'profile':<14} {'kind':<9} {'100 photographs':>15}  {'in this training':<68}  machine"]
-    for name, path in library_profiles().items():
-        listed = load_profile(path, name)
-        total_s = float(listed.init_s.curve(100) + listed.train_s.curve(100))
-        lines += [f"{name:<14} {listed.kind:<9} {total_s:>13,.0f} s  {listed.key!s:<68}  {listed.machine}", f"{'':<42}{listed.source}"]
-    return "\n".join([*lines, "Times of different trainings do not compare; a plan scales each to its own training."])
+    """The library's machines, a line each, and then the training and the source of their figures,
+    in lines of `TABLE_COLUMNS`."""
+    listed = {name: load_profile(path, name) for name, path in library_profiles().items()}
+    lines = [f"{'profile':<12} {'kind':<9} {'100 photographs':>15}  machine"]
+    for name, known in listed.items():
+        total_s = float(known.init_s.curve(100) + known.train_s.curve(100))
+        lines.append(f"{name:<12} {known.kind:<9} {total_s:>13,.0f} s  {known.machine}")
+    lines += textwrap.wrap("Times of different trainings do not compare; a plan scales each to its own training.", TABLE_COLUMNS)
+    for name, known in listed.items():
+        lines += [
+            "",
+            *textwrap.wrap(f"{name}: {known.key!s}. {known.source}", TABLE_COLUMNS, subsequent_indent="  ", break_on_hyphens=False),
+        ]
+    return "\n".join(lines)
 
 
 def check_table(rows: Sequence[dict[str, Any]]) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_app.commands.plan.known_map import LONG_SIDE_PX, TILE_PX, facets_of_survey, map_cell
 from radiant_app.commands.run.steps import stage_bar
@@ -83,10 +84,13 @@ def _held_out_db(survey: Survey, model: Splats, sights: Sights, sightings: tuple
     smaller, cell, errors = cameras.select(held_out).scaled(LONG_SIDE_PX), sights.facets.surface.grid.cell, list[FloatArray]()
     shares_wh = smaller.sizes_wh / cameras.select(held_out).sizes_wh
     seen = [sightings[row].scaled(shares) for row, shares in zip(held_out.tolist(), shares_wh, strict=True)]
-    pictures = (load_images(images, smaller.select([index]))[0] for index in range(len(smaller)))
+
+    def photograph(index: int, folder: Path = images) -> NDArray[np.uint8]:
+        return load_images(folder, smaller.select([index]))[0]
+
     weights = pixel_weights(masks_folder_of(survey.run.folder), smaller)
     with stage_bar(display, "held-out photographs") as report:
-        for error in errors_in_views(model, smaller, pictures, seen, cell, weights):
+        for error in errors_in_views(model, smaller, photograph, seen, cell, weights):
             errors.append(error)
             report(len(errors), len(smaller), "photographs")
     return mean_errors_db(len(sights.facets), seen, errors)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_app.commands.run.steps import stage_bar
 from radiant_app.commands.survey.parts import Survey, support_of_survey
@@ -188,10 +189,13 @@ def _errors(
         # What trained photographs see is known; their pictures alone are smaller here.
         seen = [sighting.scaled(shares) for sighting, shares in zip(seen_by_trained, shares_wh, strict=False)]
         sightings = (*seen, *sights.all_of(cameras.select(held_out)))
-        pictures = (load_images(images, ordered.select([index]))[0] for index in range(len(ordered)))
+
+        def photograph(index: int, folder: Path = images) -> NDArray[np.uint8]:
+            return load_images(folder, ordered.select([index]))[0]
+
         weights = pixel_weights(masks_folder_of(survey.run.folder), ordered)
         view_errors: list[FloatArray] = []
-        for error in errors_in_views(survey.splats, ordered, pictures, sightings, cell, weights):
+        for error in errors_in_views(survey.splats, ordered, photograph, sightings, cell, weights):
             view_errors.append(error)
             report(len(view_errors), len(ordered), "photographs")
     split = len(survey.trained)

@@ -73,10 +73,10 @@ def test_one_colour_map_of_a_photograph_is_no_error_of_the_model() -> None:
     sighting = Sighting(
         rows=np.array([0]), pixels=np.array([[20.5, 10.5]], np.float32), gsd=ones, toward=np.zeros((1, 3), np.float32), facing=ones
     )
-    (errors,) = errors_in_views(splats, cameras, [darker], [sighting], 1.0)
+    (errors,) = errors_in_views(splats, cameras, lambda _: darker, [sighting], 1.0)
     assert errors[0] <= (1.5 / 255) ** 2
     with pytest.raises(ValueError, match="of pixels beyond a picture of"):
-        list(errors_in_views(splats, cameras.scaled(24), [darker[::2, ::2]], [sighting.scaled(np.array([2.0, 2.0]))], 1.0))
+        list(errors_in_views(splats, cameras.scaled(24), lambda _: darker[::2, ::2], [sighting.scaled(np.array([2.0, 2.0]))], 1.0))
 
 
 def test_one_photograph_gives_no_margin_and_too_few_cells_no_prediction() -> None:
@@ -98,10 +98,10 @@ def test_what_a_mask_leaves_out_is_no_error_of_the_model() -> None:
     pixels = np.array([[width / 4, height / 2], [width / 2 + 1, height / 2]], np.float32)
     ones = np.ones(2, np.float32)
     sighting = Sighting(rows=np.array([0, 1]), pixels=pixels, gsd=ones, toward=np.zeros((2, 3), np.float32), facing=ones)
-    (plain,) = errors_in_views(splats, cameras, [image], [sighting], 5.0)
-    (masked,) = errors_in_views(splats, cameras, [image], [sighting], 5.0, [weights])
+    (plain,) = errors_in_views(splats, cameras, lambda _: image, [sighting], 5.0)
+    (masked,) = errors_in_views(splats, cameras, lambda _: image, [sighting], 5.0, [weights])
     assert np.isnan(masked[0]) and masked[1] <= (1.5 / 255) ** 2 < plain[1]
-    (nothing,) = errors_in_views(splats, cameras, [image], [sighting], 5.0, [np.zeros_like(weights)])
+    (nothing,) = errors_in_views(splats, cameras, lambda _: image, [sighting], 5.0, [np.zeros_like(weights)])
     assert np.isnan(nothing).all()
     assert np.isnan(mean_errors_db(2, [sighting], [masked])[0])
 
@@ -197,7 +197,7 @@ def test_errors_are_those_about_the_pixel() -> None:
     pixels = np.array([[20.5, 10.5], [5.5, 5.5]], np.float32)
     ones = np.ones(2, np.float32)
     sighting = Sighting(rows=np.array([3, 7]), pixels=pixels, gsd=ones, toward=np.zeros((2, 3), np.float32), facing=ones)
-    (errors,) = errors_in_views(splats, cameras, [image], [sighting], 1.0)
+    (errors,) = errors_in_views(splats, cameras, lambda _: image, [sighting], 1.0)
     assert errors[0] == pytest.approx(np.square(view.image[10, 20] - image[10, 20] / 255).mean(), rel=0.05)
     # Half a level of rounding at most.
     assert errors[1] <= (0.5 / 255) ** 2 * 1.01

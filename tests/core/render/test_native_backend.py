@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,15 @@ import pytest
 import torch
 
 from radiant_core import _native
-from radiant_core.render.contract import SplatTensors
-from radiant_core.render.native_backend import instruction_sets
+from radiant_core.render.contract import SplatTensors, ViewOptions
+from radiant_core.render.native_backend import instruction_sets, rasterize_native
 from radiant_core.render.rasterize import rasterize
 from tests.contract import gaussians
 
 HEIGHT, WIDTH, COUNT = 32, 48, 300
+VIEW = ViewOptions(
+    width=WIDTH, height=HEIGHT, sh_degree=3, near_m=0.01, far_m=1e10, antialiased=False, background=torch.zeros(3)
+)  # fmt: skip
 
 
 def zeros(*shape: int) -> np.ndarray:
@@ -48,6 +52,31 @@ class Drawn:
     def project_backward(self, splats: list[np.ndarray]) -> None:
         gradients = [np.zeros_like(array) for array in splats]
         self.view.project_backward(splats, self.means2d, self.sums, gradients, False, 2)
+
+
+@pytest.mark.parametrize("instruction_set", instruction_sets())
+def test_gaussians_that_are_left_out_together_would_not_be_visible_one_by_one(instruction_set: str) -> None:
+    edge = gaussians.frustum_edge(2000, seed=3)
+    cameras = gaussians.off_centre_cameras(WIDTH, HEIGHT, focal_px=50)
+    viewmats, Ks = torch.tensor(cameras.cam_from_world[:1]), torch.tensor(cameras.Ks[:1])
+    axis = np.linalg.inv(cameras.cam_from_world[0]) @ [0.0, 0.0, 3.0, 1.0]
+    num_out = 0
+    for smaller in (0.0, 2.0, 4.0, 8.0):
+        model = replace(edge, log_scales=edge.log_scales - np.float32(smaller))
+        # Sixteen alike are looked at together; one in the middle of the image keeps its fifteen in.
+        alike = model.select(np.repeat(np.arange(len(model)), 16))
+        means = alike.means.copy()
+        means[::16] = axis[:3]
+        together, among = (
+            rasterize_native(SplatTensors.from_splats(splats), viewmats, Ks, VIEW, instruction_set=instruction_set)
+            for splats in (alike, replace(alike, means=means))
+        )
+        kept = np.arange(len(alike)) % 16 != 0
+        np.testing.assert_array_equal(together.radii_px[0].numpy()[kept], among.radii_px[0].numpy()[kept])
+        np.testing.assert_array_equal(together.means2d[0].numpy()[kept], among.means2d[0].numpy()[kept])
+        assert (among.radii_px[0].numpy()[::16] > 0).all()
+        num_out += int((together.radii_px[0].numpy()[kept] == 0).sum())
+    assert 0.2 < num_out / (4 * 15 * len(edge)) < 0.95
 
 
 def test_there_is_no_way_back_without_a_differentiable_rendering() -> None:

@@ -123,16 +123,40 @@ def figure_image(figure: Figure) -> Image:
 
 def _add_title(figure: Figure, text: PageText, left_px: int) -> None:
     width, height = figure.get_size_inches() * DPI
-    figure.text(left_px / width, 1 - 14 / height, text.title, size=14, weight="bold", color=INK_COLOR, va="top")
-    line = figure.text(left_px / width, 1 - 39 / height, text.subtitle, size=9.5, color=SOFT_COLOR, va="top")
+    title = figure.text(left_px / width, 1 - 14 / height, text.title, size=14, weight="bold", color=INK_COLOR, va="top")
+    line = figure.text(left_px / width, 1 - 39 / height, text.subtitle, size=9.5, color=SOFT_COLOR, va="top", linespacing=1.15)
     canvas = figure.canvas
     assert isinstance(canvas, FigureCanvasAgg)
-    # A long line is set smaller, not cut off; twice, since letters are whole pixels wide.
     room = width - left_px - GAP_PX
-    size = 9.5
-    for _ in range(2):
-        size *= min(1.0, room / max(line.get_window_extent(canvas.get_renderer()).width, 1.0))
-        line.set_fontsize(size)
+
+    def share_of_room(subtitle: str) -> float:
+        line.set_text(subtitle)
+        return line.get_window_extent(canvas.get_renderer()).width / room
+
+    if share_of_room(text.subtitle) > 1:
+        title.set_y(1 - 8 / height)
+        line.set_y(1 - 30 / height)
+        subtitle, size = in_two_lines(text.subtitle, lambda half: share_of_room(half) <= 1), 9.5
+        # What is too long even so is set smaller, not cut off; again and again, since letters are
+        # whole pixels wide.
+        while (share := share_of_room(subtitle)) > 1 and size > 1:
+            size *= min(0.98, 1 / share)
+            line.set_fontsize(size)
+
+
+def in_two_lines(text: str, fits: Callable[[str], bool]) -> str:
+    """A text broken where its sense breaks, if both lines fit there, else between any words; as it
+    is without a space."""
+    broken = text
+    for mark, end in (("   ·   ", ""), ("; ", ";"), (", ", ","), (" ", "")):
+        parts = text.split(mark)
+        halves = [(mark.join(parts[:count]) + end, mark.join(parts[count:])) for count in range(1, len(parts))]
+        if halves:
+            shortest = min(halves, key=lambda lines: max(map(len, lines)))
+            broken = "\n".join(shortest)
+            if all(map(fits, shortest)):
+                break
+    return broken
 
 
 def _label_axes(axes: Axes, extent: tuple[float, float, float, float], unit: str) -> None:

@@ -50,6 +50,13 @@ def haze_size(splats: Splats) -> float:
     return max(_largest(splats, side, np.ones(len(splats), bool)), 1e-6)
 
 
+def haze_size_in(splats: Splats, box: FloatArray) -> float:
+    """From which standard deviation on a Gaussian is haze, by those with their middle in a box
+    (2,3); infinite where there is none."""
+    inside = ((splats.means >= box[0]) & (splats.means <= box[1])).all(axis=1)
+    return _largest(splats, float((box[1] - box[0]).max()), inside) if inside.any() else np.inf
+
+
 def in_scene(splats: Splats, box: FloatArray, times: float = 1.0) -> NDArray[np.bool_]:
     """Which Gaussians (N,) have their middle in a box (2,3) widened by `MARGIN`, and are at most so
     many times as wide as what counts as haze there; wider ones lie wholly inside."""

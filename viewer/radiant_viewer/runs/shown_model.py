@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.decisions import Decision
+from radiant_core.geometry.cleaning import SizeStep, keeps
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.render.trajectories import box_corners, middle_box
@@ -26,7 +27,7 @@ from radiant_core.splats import Splats
 from radiant_viewer.layers.layer import Layer, LegendEntry, at_height
 from radiant_viewer.layers.palette import GREY
 from radiant_viewer.layers.splat_layer import splat_layer
-from radiant_viewer.pictures.turntable import HAZE_TIMES, in_scene
+from radiant_viewer.pictures.turntable import HAZE_TIMES, haze_size_in, in_scene
 from radiant_viewer.runs.cleaned_model import CleanedModel
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.runs.unplanned import scene_box
@@ -35,6 +36,10 @@ MODEL, SURROUNDINGS = "Gaussians", "Surroundings"
 """Layers of a model: what is seen at first, and all else."""
 HIGHEST_SHARE = 0.99
 """Of the points in the box: what stands higher is haze."""
+STRIPS, GOES_ON = 20, 1 / 3
+"""A model alone goes on beyond its middle where a strip, a twentieth of that wide, has a third of
+the Gaussians. Of what the run's box shows, 9 to 11 % of caliterra and 13 % of a town of 400
+photographs lie beyond the middle, 0 to 1 and 7 % beyond this."""
 MIN_OPAQUE = 0.1
 """Share of a model's Gaussians from which on the opaque ones alone say where it is."""
 
@@ -116,21 +121,43 @@ def framed_box(scene: SfmScene, cloud_plan: CloudPlan) -> FloatArray:
 def model_box(splats: Splats) -> FloatArray:
     """Return lower and upper corner (2,3) of where a model alone has most of its surfaces: haze and
     sky are thin or far, and neither moves the middle of what is opaque. Along the flattest side it
-    holds roofs and pits too, which are few beside the ground. BadInput without any Gaussian."""
+    holds roofs and pits too, which are few beside the ground; along the others it reaches as far as
+    the ground goes on. BadInput without any Gaussian."""
     from radiant_core.geometry.open3d_ops import surface_points
 
     centers, chosen = surface_points(splats, np.inf)
-    places = centers if chosen.mean() > MIN_OPAQUE else splats.means.astype(np.float64)
-    box = middle_box(places)
+    if chosen.mean() <= MIN_OPAQUE:
+        centers, chosen = splats.means.astype(np.float64), np.ones(len(splats), bool)
+    box = middle_box(centers)
     sides = np.ptp(box, axis=0)
     flattest, along = int(sides.argmin()), np.arange(3) != sides.argmin()
+    ground = centers[keeps(SizeStep(at_most=haze_size_in(splats, box)), splats)[chosen]]
+    within = (ground >= box[0]) & (ground <= box[1])
+    grown = box.copy()
+    for axis in np.flatnonzero(along).tolist():
+        beside = within[:, np.arange(3) != axis].all(axis=1)
+        grown[:, axis] = _as_far_as_it_goes_on(ground[beside, axis], box[:, axis])
     # Not farther than the scene is wide: a sky is over it too.
     middle, reach = box[:, flattest].mean(), sides.max() / 2
-    near = ((places >= box[0]) & (places <= box[1]))[:, along].all(axis=1) & (np.abs(places[:, flattest] - middle) <= reach)
+    near = ((centers >= box[0]) & (centers <= box[1]))[:, along].all(axis=1) & (np.abs(centers[:, flattest] - middle) <= reach)
     if near.any():
-        low, high = np.quantile(places[near, flattest], [1 - HIGHEST_SHARE, HIGHEST_SHARE])
-        box[:, flattest] = min(box[0, flattest], low), max(box[1, flattest], high)
-    return box
+        low, high = np.quantile(centers[near, flattest], [1 - HIGHEST_SHARE, HIGHEST_SHARE])
+        grown[:, flattest] = min(box[0, flattest], low), max(box[1, flattest], high)
+    return grown
+
+
+def _as_far_as_it_goes_on(places: FloatArray, ends: FloatArray) -> FloatArray:
+    """Return ends (2,) moved outwards, strip by strip, at most by their distance, while a strip has
+    `GOES_ON` of the places (N,) that a usual one between them has."""
+    width = float(np.ptp(ends)) / STRIPS
+    if not width > 0:
+        return ends
+    strips = np.floor((places - ends[0]) / width)
+    counts = np.bincount(strips[np.abs(strips - STRIPS / 2) <= 1.5 * STRIPS].astype(np.int64) + STRIPS, minlength=3 * STRIPS + 1)
+    goes_on = counts >= max(1.0, GOES_ON * float(np.median(counts[STRIPS : 2 * STRIPS])))
+    before, after = goes_on[:STRIPS][::-1], goes_on[2 * STRIPS : 3 * STRIPS]
+    lengths = [int(np.argmin(side)) if not side.all() else STRIPS for side in (before, after)]
+    return np.array([ends[0] - lengths[0] * width, ends[1] + lengths[1] * width])
 
 
 def framed_positions(scene: SfmScene, cloud_plan: CloudPlan) -> FloatArray:

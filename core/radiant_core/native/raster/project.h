@@ -131,16 +131,44 @@ RADIANT_INLINE void write_footprints(const Geometry& g, const Reach& r, const F&
   }
 }
 
+// How far a Gaussian reaches along one side of the image at most, in px per length / depth.
+RADIANT_INLINE float widest_reach(double focal, double middle, int side) {
+  const double margin = 0.15 * side, low = (middle + margin) / focal, high = (side - middle + margin) / focal;
+  const double steepest2 = low * low < high * high ? high * high : low * low;
+  // √(−log₂ α_min ÷ ½ log₂e) = 3.33 standard deviations.
+  return static_cast<float>(3.4 * focal * __builtin_sqrt(1 + steepest2));
+}
+
+// Which lanes may be visible, by centre and longest axis alone. Margins are far above rounding:
+// what is left out here is not visible below. A view of a large scene sees a tenth of it.
+RADIANT_INLINE Mask near_image(const View& view, const float reach[2], const SplatArrays& splats, int64_t first, int lanes, const Geometry& g) {
+  F log_scales[3];
+  load_fields<3>(splats.log_scales, first, lanes, log_scales);
+  const F zero = broadcast(0.0f), far = broadcast(1e7f);
+  const F size = min(exp(max(max(log_scales[0], log_scales[1]), log_scales[2])) * g.inverse_z, broadcast(1e9f));
+  const F x = clamp(load(g.whole_x) + load(g.rest_x), -far, far), y = clamp(load(g.whole_y) + load(g.rest_y), -far, far);
+  // 3 px: 3.4 · √0.3 of dilation and one more.
+  const F around_x = size * reach[0] + 3.0f + 1e-4f * abs(x), around_y = size * reach[1] + 3.0f + 1e-4f * abs(y);
+  return g.usable & (zero < x + around_x) & (zero < y + around_y) & (x - around_x < broadcast(static_cast<float>(view.width))) &
+         (y - around_y < broadcast(static_cast<float>(view.height)));
+}
+
 static void project(const View& view, const SplatArrays& splats, int64_t begin, int64_t end, const Projection& out, SpanList& spans) {
+  const float reach[2] = {widest_reach(view.fx, view.cx, view.width), widest_reach(view.fy, view.cy, view.height)};
   for (int64_t first = begin; first < end; first += kLanes) {
     const int lanes = end - first < kLanes ? static_cast<int>(end - first) : kLanes;
     Geometry g;
     Reach r;
     F log2_opacity;
-    project_geometry(view, splats, first, lanes, g);
-    const uint32_t visible = bits_of(reach_of(view, splats, first, lanes, g, r, log2_opacity));
-    alignas(64) float radii[kLanes];
-    store(radii, keep(mask_of(visible), max(r.extent_x, r.extent_y)));
+    uint32_t visible = 0;
+    alignas(64) float radii[kLanes] = {};
+    project_centers(view, splats.means, first, lanes, g);
+    if (bits_of(near_image(view, reach, splats, first, lanes, g))) {
+      rotate(view, splats.quats, first, lanes, g);
+      project_covariance(view, splats.log_scales, first, lanes, g);
+      visible = bits_of(reach_of(view, splats, first, lanes, g, r, log2_opacity));
+      store(radii, keep(mask_of(visible), max(r.extent_x, r.extent_y)));
+    }
     __builtin_memcpy(out.radii_px + first, radii, lanes * sizeof(float));
     __builtin_memcpy(out.means2d + 2 * first, g.means2d, 2 * lanes * sizeof(float));
     __builtin_memset(out.num_spans + first, 0, lanes * sizeof(uint16_t));

@@ -24,7 +24,7 @@ from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.quick.descriptors import Descriptors, Matches, match_descriptors
 from radiant_core.sfm.quick.features import Features, find_features
 from radiant_core.sfm.quick.partners import NUM_PREVIEWED
-from radiant_core.sfm.quick.threads import in_order, single_opencv_thread
+from radiant_core.threads import in_order, single_opencv_thread
 
 NUM_KEPT = 512
 """Photographs whose features stay in memory while pairs are matched, 0.6 MB each."""

@@ -16,7 +16,7 @@ from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.plain_fisheyes import bend_plain_fisheyes
 from radiant_core.sfm.colmap.warp import can_warp, warp_jpeg
 from radiant_core.sfm.config import Report, SfmProgress
-from radiant_core.sfm.quick.threads import in_order, single_opencv_thread
+from radiant_core.threads import in_order, single_opencv_thread
 
 JPEG_QUALITY = 95
 BENT = "bent"

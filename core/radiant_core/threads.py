@@ -1,8 +1,9 @@
-"""Photographs and pairs dealt to threads, results in their order. Once per block of tasks."""
+"""Photographs, views and pairs dealt to threads, results in their order. Once per block of
+tasks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
@@ -13,8 +14,15 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
+def usual_threads() -> int:
+    """As many threads as torch has, which processes that share a machine are each told."""
+    import torch
+
+    return torch.get_num_threads()
+
+
 @contextmanager
-def single_opencv_thread() -> Iterator[None]:
+def single_opencv_thread() -> Generator[None]:
     """OpenCV with one thread: photographs are dealt to threads here."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
