@@ -116,6 +116,22 @@ def test_asking_for_it_moves_no_bit_of_pictures_and_gradients(backend: str) -> N
 
 
 @on_every_native_build
+def test_blocks_that_are_left_out_because_a_mask_hides_them_move_no_bit(backend: str) -> None:
+    # Where weights are asked for, none is left out: they count pixels without a gradient too.
+    splats, cameras = gaussians.regular(2000, seed=5), gaussians.off_centre_cameras(125, 93, focal_px=110)
+    keep = torch.ones(1, 93, 125, dtype=torch.bool)
+    keep[:, :50, 30:] = keep[:, :, 70:] = False
+    left_out, walked, whole = (render(splats, cameras, backend, weights=weights) for weights in (False, True, True))
+    for rendered, kept in ((left_out, keep), (walked, keep), (whole, None)):
+        random_loss(rendered.output, ("images", "alphas"), kept).backward()
+    for name, gradient in walked.gradients().items():
+        assert torch.equal(gradient, left_out.gradients()[name]), name
+        assert not torch.equal(gradient, whole.gradients()[name]), name
+    assert walked.output.weights is not None and whole.output.weights is not None
+    assert torch.equal(walked.output.weights, whole.output.weights)
+
+
+@on_every_native_build
 def test_beside_gradients_of_depths_the_others_stay_within_rounding(backend: str) -> None:
     # Under -ffast-math the compiler may add four registers to a sum in another order there: gcc 12
     # does in the portable build.

@@ -152,6 +152,21 @@ def test_gradients_may_arrive_on_any_picture(backend: str, parts: tuple[str, ...
 
 
 @on_every_backend
+@pytest.mark.parametrize("part", ["images", "alphas", "depths"])
+def test_gradients_of_a_picture_that_a_mask_hides_in_part(backend: str, part: str) -> None:
+    # 0 in whole blocks, in parts of one, and beside the edge: what has no gradient may be left out.
+    splats, cameras = gaussians.regular(300, seed=8), gaussians.off_centre_cameras(61, 45, focal_px=60)
+    keep = ~undecided_pixels(splats, cameras)
+    keep[:, :20, 18:] = keep[:, :, 18:40] = False
+    exact, got = (render(splats, cameras, name) for name in ("oracle", backend))
+    for rendered in (exact, got):
+        random_loss(rendered.output, (part,), keep).backward()
+    for name, gradient in got.gradients().items():
+        truth = exact.gradients()[name]
+        assert (gradient - truth).norm() <= 1e-4 * truth.norm(), name
+
+
+@on_every_backend
 def test_a_loss_on_means2d_reaches_the_means(backend: str) -> None:
     splats, cameras = gaussians.regular(50), gaussians.off_centre_cameras(40, 30, focal_px=40)
     exact, got = (render(splats, cameras, name) for name in ("oracle", backend))

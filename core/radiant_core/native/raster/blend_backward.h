@@ -76,6 +76,14 @@ RADIANT_INLINE void start_block(const View& view, int tile, int block, int64_t c
   b.transmittance = keep(broadcast(int32_t{0}) < load(started), b.final_transmittance);
 }
 
+// Whether no pixel of the block has a gradient, as behind a mask: its moments are 0. NaN is a gradient.
+RADIANT_INLINE bool has_no_gradient(const BlockState& b) {
+  const F zero = broadcast(0.0f);
+  const uint32_t none = bits_of(abs(b.red) <= zero) & bits_of(abs(b.green) <= zero) & bits_of(abs(b.blue) <= zero) & bits_of(abs(b.depth) <= zero) &
+                        bits_of(abs(b.final_behind) <= zero);
+  return none == (1u << kLanes) - 1;
+}
+
 // Starts the pixels whose last blended entry is this one or behind it.
 static __attribute__((noinline)) void start_pixels(BlockState& b, int32_t entry) {
   uint32_t starting = 0;
@@ -181,7 +189,10 @@ static void blend_backward(const View& view, int tile, const Entry* entries, int
   for (int block = 0; block < kBlocksPerTile; ++block) {
     const int left = tile % view.tiles_x * kTilePx + block % 4 * kBlockPx, top = tile / view.tiles_x * kTilePx + block / 4 * kBlockPx;
     blocks[block].end = 0;
-    if (left < view.width && top < view.height) start_block(view, tile, block, count, state, gradients, blocks[block]);
+    if (left >= view.width || top >= view.height) continue;
+    start_block(view, tile, block, count, state, gradients, blocks[block]);
+    // Weights are no gradients: `absolute` has them of every pixel.
+    if (!absolute && has_no_gradient(blocks[block])) blocks[block].end = 0;
   }
   const auto walk = gradients.depths ? (absolute ? walk_back<true, true> : walk_back<true, false>)
                                      : (absolute ? walk_back<false, true> : walk_back<false, false>);
