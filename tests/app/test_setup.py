@@ -87,6 +87,15 @@ def test_the_tests_bring_the_everyday_extras_too(checkout: Path) -> None:
     assert 'test = [\n    "radiant-splats[cluster,desktop,flip,geo,network,sfm,survey,usd,web]"' in (ROOT / "pyproject.toml").read_text()
 
 
+@pytest.mark.parametrize("failing", ["lint-imports", "ruff", "pyright"])
+def test_a_check_that_fails_ends_the_command(failing: str, checkout: Path) -> None:
+    """Though types are checked beside the others."""
+    program(checkout / ".venv/bin" / failing, "exit 3")
+    with pytest.raises(subprocess.CalledProcessError) as ended:
+        setup(checkout, "check")
+    assert ended.value.returncode == 3
+
+
 def test_a_missing_extra_names_the_command_that_installs_it_here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """For the Python that runs, from any folder; without pip, by uv; without an installation, by the set-up of the source."""
 
