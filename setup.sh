@@ -128,11 +128,14 @@ run_contract_of_clang() {
   .venv/bin/python -S -m pytest tests/contract/test_rasterizers.py tests/contract/test_absgrad.py -p no:cacheprovider
 }
 
+# Types take one core most of this time; they are told last.
 run_checks() {
-  .venv/bin/lint-imports
-  .venv/bin/ruff check
-  .venv/bin/ruff format --check --quiet
-  .venv/bin/pyright
+  local types ended=0
+  .venv/bin/pyright &
+  types=$!
+  { .venv/bin/lint-imports && .venv/bin/ruff check && .venv/bin/ruff format --check --quiet; } || ended=$?
+  wait "$types" || ended=$?
+  return "$ended"
 }
 
 [[ $# -le 1 ]] || fail "one argument at most, got $#: $*. Try ./setup.sh help."

@@ -16,7 +16,7 @@ PHOTOGRAPHS = Path(os.environ.get("PHOTOGRAPHS", ROOT / "sample_scenes/town/imag
 OUT = Path(os.environ.get("OUT", ROOT / "build/examples"))
 SMALL = "SMALL" in os.environ
 """Seconds in place of minutes, for tests."""
-LONG_SIDE_PX, STEPS = (96, 60) if SMALL else (384, 800)
+LONG_SIDE_PX, STEPS = (96, 40) if SMALL else (384, 800)
 
 
 def town() -> radiant.Scene:

@@ -178,7 +178,11 @@ def written_at(place: str, folder: Path, truth: Truth) -> tuple[np.ndarray, np.n
     return (ECEF[:3, :3], ECEF[:3, 3]) if place == "ecef" else (np.eye(3), np.zeros(3))
 
 
-@pytest.mark.parametrize("place", ["local", "far", "enu", "utm", "ecef"])
+# Metres, a map and the globe; the other two are further values of the first and of the last.
+OTHERS = [pytest.param(place, marks=pytest.mark.stress) for place in ("far", "enu")]
+
+
+@pytest.mark.parametrize("place", ["local", "utm", "ecef", *OTHERS])
 def test_a_training_says_what_it_used_and_exports_in_the_coordinates_of_the_file(
     place: str, project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

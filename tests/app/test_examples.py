@@ -20,6 +20,23 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("0*.py"))
 MAX_LINES = 40
 BLANK = "tests.app.blank_process"
+NOTEBOOK = ROOT / "examples/plan_model_seams.ipynb"
+CELLS = f"""
+import json, pathlib, {BLANK}
+import matplotlib
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+names = {{}}
+for cell in json.loads(pathlib.Path({str(NOTEBOOK)!r}).read_text())["cells"]:
+    if cell["cell_type"] == "code":
+        exec("".join(cell["source"]), names)
+for number in plt.get_fignums():
+    canvas = plt.figure(number).canvas
+    canvas.draw()
+    print("spread", np.std(np.asarray(canvas.buffer_rgba())[..., :3]))
+"""
+"""Runs the notebook's cells one after another, and prints how much each figure shows."""
 
 
 @pytest.fixture(scope="module")
@@ -49,9 +66,22 @@ def test_an_example_makes_its_picture(path: Path, hamlet_scene: Path, hamlet_pro
     assert picture is not None and float(np.std(picture)) > 5
 
 
-def test_the_notebook_shows_plan_model_and_seams_inline(hamlet_project: Path, out: Path, tmp_path: Path) -> None:
-    notebook = nbformat.read(ROOT / "examples/plan_model_seams.ipynb", as_version=4)
+def test_the_cells_of_the_notebook_show_plan_model_and_seams(hamlet_project: Path, out: Path) -> None:
+    environment = {**os.environ, "OUT": str(out / "cells"), "PHOTOGRAPHS": str(hamlet_project), "SMALL": "1"}
+    result = run_module("tests.run_code", "-c", CELLS, cwd=ROOT, environment=environment, timeout_s=600)
+    assert result.returncode == 0, result.stderr[-3000:]
+    spreads = [float(line.split()[1]) for line in result.stdout.splitlines() if line.startswith("spread ")]
+    assert len(spreads) == 3 and min(spreads) > 5
+
+
+def test_the_notebook_has_no_outputs() -> None:
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "clear the outputs before it is committed"
+
+
+@pytest.mark.stress
+def test_the_notebook_shows_plan_model_and_seams_inline(hamlet_project: Path, out: Path, tmp_path: Path) -> None:
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
     startup = tmp_path / "profile_default" / "startup"
     startup.mkdir(parents=True)
     (startup / "blank.py").write_text(f"import {BLANK}\n")

@@ -91,6 +91,13 @@ def test_poses_go_up_under_numbers_and_the_cloud_learns_no_device(finished: tupl
         assert secret not in content
 
 
+def test_nothing_of_a_photograph_lies_above_its_device_and_little_else_than_models_was_sent(finished: tuple[RunConfig, RunResult]) -> None:
+    """By given poses, with two edges, which pool."""
+    config, _ = finished
+    assert_no_image_bytes(config.out, config.source)
+    assert_models_and_little_else_were_sent(config.out)
+
+
 def test_the_inspector_reads_such_a_run(finished: tuple[RunConfig, RunResult]) -> None:
     config, _ = finished
     view = load_run_view(config.out)
@@ -186,7 +193,7 @@ def test_models_that_do_not_hang_together_are_no_group(kept: list[bool], expecte
     assert are_one_group([(1,), (0,), ()], kept) is expected
 
 
-@pytest.mark.parametrize("frames", ["known", "gps"])
+@pytest.mark.parametrize("frames", [pytest.param("known", marks=pytest.mark.stress), "gps"])
 def test_no_other_process_opens_a_devices_photographs(frames: str, hamlet: Path, system: Path, preload: Path, tmp_path: Path) -> None:
     """Alone traces, from outside, every file and socket that each process of a whole run opens.
 

@@ -40,8 +40,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def config_of(source: Path, out: Path) -> RunConfig:
-    # By default the cloud would fit nothing after so short trainings.
-    aggregate = AggregateOptions(settings={"edge.epochs": 2, "cloud.epochs": 2})
+    # By default the cloud would fit nothing after so short trainings, and devices would refine most of the time.
+    aggregate = AggregateOptions(settings={"edge.epochs": 2, "cloud.epochs": 2, "refine.rounds": 1, "refine.epochs": 2})
     return RunConfig(source=source, out=out, train=TrainOptions(long_side_px=128, num_steps=200), aggregate=aggregate, plan=FOUR)
 
 

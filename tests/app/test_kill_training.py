@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import pytest
+
 from radiant_core.io.run_store import read_json
 from tests.stress.kill_harness import differing_files, run_killed, run_whole
 
@@ -33,6 +35,7 @@ def step_of(path: Path) -> int:
     return int(path.name.lstrip(".").removeprefix("step-").split(".")[0])
 
 
+@pytest.mark.stress
 def test_a_training_killed_while_it_writes_and_while_it_trains_ends_with_the_same_bytes(hamlet_scene: Path, tmp_path: Path) -> None:
     scene, whole, killed = hamlet_scene, tmp_path / "whole", tmp_path / "killed"
     run_whole(radiant_train(scene, whole, "--checkpoint-every", "60s"))

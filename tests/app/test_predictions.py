@@ -246,6 +246,7 @@ def test_a_limit_of_gaussians_leaves_room_for_photographs(limit: int) -> None:
     assert few > most_cameras(TRAIN, 1e9, lambda count: 5_000.0 * count, 10_000)
 
 
+@pytest.mark.usefixtures("usual_rounds")
 def test_the_law_has_the_rounds_and_steps_of_a_run() -> None:
     train, aggregate = train_preset("default"), AggregateConfig()
     train = replace(train, num_steps=1500)

@@ -177,6 +177,7 @@ def done_in(dealer: Dealer, node: str, refused: dict[str, str]) -> None:
     dealer.keys[node] = "key"
 
 
+@pytest.mark.usefixtures("usual_rounds")
 def test_a_second_round_is_for_trainings_that_left_something_to_fit(dealer: Dealer) -> None:
     recipe = dealer.recipe
     assert dealer.refining is not None

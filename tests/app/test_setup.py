@@ -87,6 +87,15 @@ def test_the_tests_bring_the_everyday_extras_too(checkout: Path) -> None:
     assert 'test = [\n    "radiant-splats[cluster,desktop,flip,geo,network,sfm,survey,usd,web]"' in (ROOT / "pyproject.toml").read_text()
 
 
+@pytest.mark.parametrize("failing", ["lint-imports", "ruff", "pyright"])
+def test_a_check_that_fails_ends_the_command(failing: str, checkout: Path) -> None:
+    """Though types are checked beside the others."""
+    program(checkout / ".venv/bin" / failing, "exit 3")
+    with pytest.raises(subprocess.CalledProcessError) as ended:
+        setup(checkout, "check")
+    assert ended.value.returncode == 3
+
+
 def test_a_missing_extra_names_the_command_that_installs_it_here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """For the Python that runs, from any folder; without pip, by uv; without an installation, by the set-up of the source."""
 
@@ -120,24 +129,21 @@ def test_every_extra_is_in_the_table_and_every_line_of_it_is_an_extra() -> None:
     assert set(extras.EXTRAS) == set(project["optional-dependencies"]) - {"test"}
 
 
-@pytest.mark.parametrize("module", ["pycolmap", "flip_evaluator"])
-def test_a_placed_scene_needs_neither_pycolmap_nor_flip(module: str, tmp_path: Path) -> None:
+def test_a_placed_scene_needs_neither_pycolmap_nor_flip(tmp_path: Path) -> None:
     """Photographs without poses end with the command that brings it, before anything is written."""
     for name, target in (("images", "images"), ("sparse", "known")):
         (tmp_path / name).symlink_to(ROOT / "sample_scenes" / "hamlet" / target)
-    script = f"import sys; sys.modules[{module!r}] = None\nfrom radiant_app.cli.app import main; main()"
+    script = "import sys; sys.modules |= {'pycolmap': None, 'flip_evaluator': None}\nfrom radiant_app.cli.app import main; main()"
 
     def radiant(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
         return subprocess.run([sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, check=False)
 
     trained = radiant("train", tmp_path, "--out", tmp_path / "model", "--steps", "2", "--long-side-px", "64", "--json")
     assert trained.returncode == 0, trained.stderr
-    flip = json.loads(trained.stdout)["flip"]
-    assert (flip is None) == (module == "flip_evaluator")
-    if module == "pycolmap":
-        placed = radiant("sfm", tmp_path / "images", "--out", tmp_path / "scene")
-        assert placed.returncode == 2 and "-m pip install 'radiant-splats[sfm]', or " in placed.stderr
-        assert not (tmp_path / "scene").exists()
+    assert json.loads(trained.stdout)["flip"] is None
+    placed = radiant("sfm", tmp_path / "images", "--out", tmp_path / "scene")
+    assert placed.returncode == 2 and "-m pip install 'radiant-splats[sfm]', or " in placed.stderr
+    assert not (tmp_path / "scene").exists()
 
 
 def test_a_bare_root_is_given_folders_with_blanks_in_their_names(tmp_path: Path) -> None:

@@ -18,8 +18,10 @@ from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
 from tests.app.hamlet_views import add_off_path
+from tests.bench.small_fields import LOG2_ENTRIES, RAYS_A_STEP
 
-pytestmark = pytest.mark.usefixtures("short_rounds")
+pytestmark = pytest.mark.usefixtures("short_rounds", "small_fields")
+NUM_ENTRIES = 16 * 2**LOG2_ENTRIES
 
 
 @pytest.fixture(scope="module")
@@ -123,12 +125,15 @@ def test_fields_and_federated_rivals_are_made_when_they_are_named(bench: MethodB
     made = {row.arm: row for row in rows}
     assert list(made) == ["centralised", "mega-nerf", "fednerf", "f3dgs"]
     assert all(len(row.psnr_db) == 2 and np.isfinite(row.psnr_db).all() for row in rows)
-    # Mega: two fields of 16 tables of 2^17 pairs, and their networks; one field for FedNeRF.
-    assert made["mega-nerf"].num_parameters == 2 * made["fednerf"].num_parameters > 4e6 and made["mega-nerf"].num_gaussians == 0
-    assert made["mega-nerf"].training_px == 6 * 2048 and made["f3dgs"].num_gaussians > 100
+    # Mega: two fields of 16 tables of pairs, and their networks; one field for FedNeRF.
+    assert (
+        made["mega-nerf"].num_parameters == 2 * made["fednerf"].num_parameters > 2 * NUM_ENTRIES * 2
+        and made["mega-nerf"].num_gaussians == 0
+    )
+    assert made["mega-nerf"].training_px == 6 * RAYS_A_STEP and made["f3dgs"].num_gaussians > 100
     assert len(made["fednerf"].rounds) == 3 and made["fednerf"].rounds[0].psnr_db is None
     # Two clients send a field, and a number for each entry of its grid, in 4 bytes each.
-    assert made["fednerf"].rounds[0].sent_bytes == 2 * 4 * (made["fednerf"].num_parameters + 16 * 2**17)
+    assert made["fednerf"].rounds[0].sent_bytes == 2 * 4 * (made["fednerf"].num_parameters + NUM_ENTRIES)
     assert len(made["f3dgs"].rounds) == 5 and made["f3dgs"].rounds[-1].psnr_db == pytest.approx(made["f3dgs"].mean_psnr_db, abs=1e-3)
     table = methods_table(rows)
     assert "numbers |" in table and "| | f3dgs, round 5 |" in table and "MB sent" in table
@@ -139,7 +144,7 @@ def test_fields_and_federated_rivals_are_made_when_they_are_named(bench: MethodB
     assert bench_methods(named)[0] == rows
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
     longer = bench_methods(replace(named, methods=("mega-nerf",), field_steps=4))[0][1]
-    assert longer.training_px == 4 * 2048
+    assert longer.training_px == 4 * RAYS_A_STEP
 
 
 def test_a_layout_is_edges_times_devices() -> None:

@@ -25,7 +25,7 @@ from radiant_core.io.run_store import read_json
 from radiant_core.render.rendered_view import render_views
 from tests.app.alex_weights import write_alex_weights
 
-pytestmark = pytest.mark.usefixtures("short_rounds")
+pytestmark = pytest.mark.usefixtures("short_rounds", "small_fields")
 
 
 def test_a_page_of_every_part_is_made_once_and_kept(hamlet_scene: Path, paper_models: Path) -> None:

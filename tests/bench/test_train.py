@@ -68,9 +68,9 @@ def test_presets_meet_at_their_budgets_and_the_difference_has_bounds(project: Pa
 
 
 def test_more_splits_hold_out_other_photographs_and_all_of_them_are_compared(project: Path) -> None:
-    bench = TrainBench(scene=project, budgets_s=(0.4,), splits=(0, 1), seeds=(0, 1), long_side_px=96)
+    bench = TrainBench(scene=project, budgets_s=(0.4,), splits=(0, 1), seeds=(0,), long_side_px=96)
     rows, metrics = bench_train(bench)
-    assert {(row.split, row.seed) for row in rows if row.variant == "standard"} == set(product((0, 1), (0, 1)))
+    assert {(row.split, row.seed) for row in rows if row.variant == "standard"} == {(0, 0), (1, 0)}
     splits = [split_source(_load(project, project), "interleaved", first, bench) for first in (0, 1)]
     names = [set(split.held_out.cameras.names) for split in splits]
     assert not names[0] & names[1] and all(not own & set(split.training.cameras.names) for own, split in zip(names, splits, strict=True))

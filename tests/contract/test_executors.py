@@ -41,7 +41,7 @@ def make(request: pytest.FixtureRequest, tmp_path: Path) -> Make:
 
     def executor(scripts: dict[str, str]) -> Executor:
         def command(task: NodeTask) -> list[str]:
-            return [sys.executable, "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts.get(task.stage, SEAL)}"]
+            return [sys.executable, "-S", "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts.get(task.stage, SEAL)}"]
 
         if request.param == "local":
             return LocalExecutor(num_workers=2, command=command, retry_policy=RetryPolicy(max_attempts=2))

@@ -60,7 +60,7 @@ def fold(
     scripts = {node.id: meet(run, tree, node, (befores or {}).get(node.id, "")) for node in tree}
 
     def command(task: NodeTask) -> list[str]:
-        return [sys.executable, "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts[task.stage]}"]
+        return [sys.executable, "-S", "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts[task.stage]}"]
 
     events: list[Event] = []
 
@@ -74,24 +74,24 @@ def fold(
     return events, {node_id: (each.started_s, each.ended_s) for node_id, each in times.items()}
 
 
-def test_seven_members_run_at_once_on_two_cpus_and_one_that_is_killed_starts_again_by_itself(address: str, tmp_path: Path) -> None:
+def test_seven_members_run_at_once_on_two_cpus_one_that_is_killed_starts_again_and_a_second_fold_has_the_places_again(
+    address: str, tmp_path: Path
+) -> None:
     once = "if not pathlib.Path('once').exists():\n    pathlib.Path('once').touch()\n    time.sleep(0.5)\n    os.kill(os.getpid(), 9)"
-    events, times = fold(tmp_path, address, ALL, {"devices/b1": once})
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+    events, times = fold(tmp_path / "one", address, ALL, {"devices/b1": once})
     assert max(begun for begun, _ in times.values()) < min(ended for _, ended in times.values())
     starts = Counter(event.stage for event in events if isinstance(event, StageStarted))
     assert starts == Counter([*NODES, "devices/b1"])
     (warning,) = (event for event in events if isinstance(event, Warned))
     assert warning.stage == "devices/b1" and "killed by signal 9" in warning.message
-
-
-def test_gangs_of_two_edges_and_then_the_cloud_and_a_second_fold_has_the_places_again(address: str, tmp_path: Path) -> None:
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        _, times = fold(tmp_path / name, address, EDGES)
-        for gang in "ab":
-            span = [times[node.id] for node in EDGES if node.gang == gang]
-            assert max(begun for begun, _ in span) < min(ended for _, ended in span)
-        assert times["cloud"][0] >= max(ended for node_id, (_, ended) in times.items() if node_id != "cloud")
+    # Gangs of two edges, and then the cloud.
+    _, times = fold(tmp_path / "two", address, EDGES)
+    for gang in "ab":
+        span = [times[node.id] for node in EDGES if node.gang == gang]
+        assert max(begun for begun, _ in span) < min(ended for _, ended in span)
+    assert times["cloud"][0] >= max(ended for node_id, (_, ended) in times.items() if node_id != "cloud")
 
 
 def test_two_members_meet_on_a_cluster_of_this_machine_alone(tmp_path: Path) -> None:
@@ -112,6 +112,7 @@ def machines() -> Iterator[Cluster]:
         yield cluster
 
 
+@pytest.mark.stress
 def test_members_whose_machine_dies_go_on_elsewhere_while_the_others_wait(machines: Cluster, tmp_path: Path) -> None:
     killed_s: list[float] = []
     started: set[str] = set()

@@ -188,8 +188,8 @@ WORLDS: dict[str, Callable[[Path], World]] = {
 }
 
 
-ON_RAY = (COMPARED, "ground of a lone edge")
-"""Ray starts the same processes of the same folders: a recipe of two tiers and one without retraining at the cloud are enough."""
+ON_RAY = (COMPARED,)
+"""Ray starts the same processes of the same folders: one recipe of two tiers is enough."""
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from radiant_core.io.ply import load_ply
 from radiant_core.panoramas import frame_of
 from tests.forked import run_module
@@ -13,6 +15,7 @@ from tests.panorama_scene import walk, write_walk
 NUM_PANORAMAS = 10
 
 
+@pytest.mark.stress
 def test_a_folder_of_panoramas_is_run_whole(tmp_path: Path) -> None:
     write_walk(tmp_path / "street", walk(NUM_PANORAMAS, 640), gps=True)
     out = tmp_path / "run"

@@ -25,7 +25,7 @@ def move(folder: Path, screen: str, seed: int, number: int, scale: int = 1, pain
     return json.loads(result.stdout.splitlines()[-1])
 
 
-@pytest.mark.parametrize(("screen", "scale", "number"), [("1440x900x24", 1, 12), ("2000x1400x24", 2, 4)])
+@pytest.mark.parametrize(("screen", "scale", "number"), [("1440x900x24", 1, 8), ("2000x1400x24", 2, 3)])
 def test_layers_lie_where_the_model_is_after_every_way_of_moving(tmp_path: Path, screen: str, scale: int, number: int) -> None:
     seen = move(tmp_path, screen, seed=3, number=number, scale=scale)
     assert seen["seen"] > 3 * number, "too little was in sight to tell"

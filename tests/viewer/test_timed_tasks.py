@@ -82,7 +82,7 @@ def make_run(run: Path, out: Path) -> None:
 
 
 def test_no_task_takes_more_than_five_actions(done: Any) -> None:
-    """The fixture's session alone does nine tasks of a user, from an empty window to the answer."""
+    """The fixture's session alone does nine tasks of a user, from an open window to the answer."""
     for name, result in done[2].items():
         print(f"{name}: {len(result['actions'])} actions, window {result['open_s']:.1f} s, task {result['task_s']:.2f} s")
         print("    " + "; ".join(result["actions"]))

@@ -12,7 +12,7 @@ from radiant_app.interrupts import interrupt_on_signals
 from radiant_viewer.web.server import open_start_page
 
 KNOWN = Path(__file__).parents[2] / "sample_scenes/hamlet/known"
-SMALL = ("--steps", "60", "--long-side-px", "96", "--max-splats", "2000", "--poses", str(KNOWN))
+SMALL = ("--steps", "60", "--long-side-px", "96", "--max-splats", "2000", "--poses", str(KNOWN), "--set", "refine.rounds=1")
 
 if __name__ == "__main__":
     # As the command does: whoever began this may have had interrupts ignored.

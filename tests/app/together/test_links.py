@@ -129,7 +129,7 @@ def test_half_a_message_of_a_killed_child_is_given_up_at_once(start: Start, link
         links = linked([name])
         inbox = links._wires[name]._inbox
         while not inbox[1000]:
-            pass
+            time.sleep(1e-4)
         victim.send_signal(signal.SIGSTOP)
         time.sleep(0.1)
         if inbox[-1] == 0:

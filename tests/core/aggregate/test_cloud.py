@@ -153,6 +153,7 @@ class TestPaperAggregation:
         with pytest.raises(BadInput, match="default, paper"):
             aggregate_preset("papers")
 
+    @pytest.mark.usefixtures("usual_rounds")
     def test_epochs_and_rounds_follow_from_how_long_how_many_devices_trained(self) -> None:
         ours, alone = AggregateConfig(), AggregateConfig(refine=Refine(epochs=0))
         asked = AggregateConfig(edge=Join(epochs=7), cloud=Join(epochs=0), refine=Refine(rounds=9))

@@ -69,7 +69,7 @@ def killed(photos: Path, work: Path, phase: str, least: int, effort: str = "thor
     assert subprocess.run(command, capture_output=True, timeout=120, check=False).returncode == -signal.SIGKILL
 
 
-@pytest.mark.parametrize("effort", ["auto", "thorough"])
+@pytest.mark.parametrize("effort", ["auto", pytest.param("thorough", marks=pytest.mark.stress)])
 def test_a_killed_reconstruction_goes_on_with_its_features_and_matches(effort: Effort, photos: Path, tmp_path: Path) -> None:
     config = replace(SMALL, effort=effort)
     whole = reconstruct(photos, tmp_path / "whole", config, lambda progress: None)

@@ -330,6 +330,7 @@ def test_a_setting_out_of_range_is_named(wrong: dict) -> None:
         SfmConfig(**wrong)
 
 
+@pytest.mark.stress
 def test_brighton_agrees_with_its_reference_model(data_folder: Path, tmp_path: Path) -> None:
     reference = read_model(data_folder / "brighton" / "sparse" / "0")
     centers = {image.name: np.linalg.inv(image.cam_from_world)[:3, 3] for image in reference.images}

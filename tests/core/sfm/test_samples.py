@@ -119,9 +119,9 @@ def test_each_kind_of_samples_has_a_stretch_of_its_own() -> None:
 def test_one_picture_saved_again_is_said_to_be_one(hamlet: Path, tmp_path: Path) -> None:
     picture = cv2.imread(str(sorted((hamlet / "images").iterdir())[5]))
     assert picture is not None
-    for quality in range(80, 86):
+    for quality in range(80, 84):
         cv2.imwrite(str(tmp_path / f"{quality}.jpg"), picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    with pytest.raises(BadInput, match=r"the 6 photographs in .* are the same picture saved again \(1 different of 6\)"):
+    with pytest.raises(BadInput, match=r"the 4 photographs in .* are the same picture saved again \(1 different of 4\)"):
         reconstruct(tmp_path, tmp_path / "work", SfmConfig(num_threads=1), lambda progress: None)
 
 

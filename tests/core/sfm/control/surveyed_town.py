@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,12 @@ TRUE_ORIGIN = np.array([47.37, 8.54, 430.0])
 
 def found_model(seed: int = 0, noise_px: float = 0.3, kept_every: int = 3) -> pycolmap.Reconstruction:
     """Ties of every so many points, with noise; poses and points moved by a similarity and bent by a
-    bowl, as self-calibration leaves flights."""
+    bowl, as self-calibration leaves flights. A copy, which may be changed."""
+    return pycolmap.Reconstruction(_made_model(seed, noise_px, kept_every))
+
+
+@cache
+def _made_model(seed: int, noise_px: float, kept_every: int) -> pycolmap.Reconstruction:
     rng = np.random.default_rng([seed, 3])
     model = pycolmap.Reconstruction(TOWN / "known")
     for number in sorted(model.points3D.keys()):
