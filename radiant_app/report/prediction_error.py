@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from radiant_app.events import UPLINK
+from radiant_app.executors.emulated import RESUMED
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.together.places import GROUP_FOLDER
@@ -103,7 +104,8 @@ def _group_errors(manifest: Manifest, groups: Sequence[GroupPlan]) -> list[Stage
     times, rows = {**manifest.stages, **manifest.emulated}, list[StageError]()
     for group in groups:
         spans = [times[node] for node in _members(group) if node in times]
-        if any(span["ended_s"] <= span["started_s"] for span in spans) or not spans:
+        resumed = any(f"{node}: {RESUMED}" in manifest.warnings for node in _members(group))
+        if resumed or not spans or any(span["ended_s"] <= span["started_s"] for span in spans):
             continue
         measured_s = max(span["ended_s"] for span in spans) - min(span["started_s"] for span in spans)
         node = "cloud" if group.level == "cloud" else f"edges/{group.edges[0]}"

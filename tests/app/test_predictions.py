@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from radiant_app.config.run_config import PlanOptions, RunConfig, SfmOptions
+from radiant_app.executors.emulated import RESUMED
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import dump_system
 from radiant_app.report.prediction_error import gantt_rows, prediction_of
@@ -323,6 +324,10 @@ def test_the_time_of_a_group_is_not_known_where_a_machine_was_skipped(tmp_path: 
     (tmp_path / "system.toml").write_bytes(dump_system(system).encode())
     for seconds in ({"devices/a1": 30.0, "devices/a2": 0.0, "edges/a": 33.0}, {}):
         assert prediction_of(tmp_path, manifest_of(seconds), edges, groups=(GROUP,))["together"] == []
+    seconds = {"devices/a1": 30.0, "devices/a2": 31.0, "edges/a": 33.0}
+    assert prediction_of(tmp_path, manifest_of(seconds), edges, groups=(GROUP,))["together"] != []
+    resumed = manifest_of(seconds, warnings=[f"edges/a: {RESUMED}"])
+    assert prediction_of(tmp_path, resumed, edges, groups=(GROUP,))["together"] == []
 
 
 def test_a_chart_has_no_planned_stages_of_machines_that_train_together(tmp_path: Path) -> None:
