@@ -48,6 +48,8 @@ class EmulatedExecutor:
         """See `Executor.fold`; BadInput if this machine cannot emulate the system."""
         require_emulable(self.system)
         machines, links, resumed = _machines(self.system), _links_of(self.system, tree), set[str]()
+        if (crowded := crowding_of(self.system, tree)) is not None:
+            listen(Warned(stage="cloud", message=crowded))
         keeps_model = {node.id for node in tree if node.tier == "device" and node.gang is not None}
 
         def command(task: NodeTask) -> list[str]:
@@ -82,6 +84,19 @@ def require_emulable(system: System) -> None:
             f"the devices and edges that may run at once need {demand:g} cores, this machine has {cores}: multiply every speed by "
             f"{cores / demand:.2g}, which slows all of them alike."
         )
+
+
+def crowding_of(system: System, tree: Tree) -> str | None:
+    """What to say where machines that train together, edges beside their devices and the cloud, need
+    more cores than there are while all of them work; None where cores suffice."""
+    machines, together = _machines(system), [node.id for node in tree if node.gang is not None]
+    demand, cores = sum(machines[node].speed or 0 if node in machines else 1.0 for node in together), len(os.sched_getaffinity(0))
+    if demand <= cores * (1 + 1e-9):
+        return None
+    return (
+        f"machines that train together need {demand:g} cores while all of them work at once, as when they load libraries, and this machine "
+        f"has {cores}: their emulated times may be too long; lower speeds for all avoid that."
+    )
 
 
 def emulated_figures(run: Path, tree: Tree, refining: Sequence[Tree], manifest: Manifest) -> dict[str, Any]:

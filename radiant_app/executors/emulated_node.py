@@ -60,7 +60,7 @@ def main(arguments: list[str]) -> int:
     if code:
         return code
     if share < BUSY_SHARE * speed:
-        busy = f"it got {share:.2f} of a core instead of {speed:g}: other work kept this machine busy, so its emulated time is too long."
+        busy = f"it got {share:.2f} of a core instead of {speed:g}: this machine was too busy, so its emulated time is too long."
         _emit(Warned(stage=stage, message=busy))
     _deliver(f"{stage}{UPLINK}", product_bytes(folder), bytes_per_s)
     return 0

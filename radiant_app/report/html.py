@@ -23,6 +23,7 @@ from radiant_app.report.ground_control import survey_lines, survey_of_run, surve
 from radiant_app.report.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_app.report.survey import Survey, survey_of
 from radiant_app.report.verdict import verdict_of
+from radiant_app.together.places import GROUP_FOLDER
 from radiant_app.workers.sources import POSITIONS
 from radiant_core.aggregate.tree import refines_for
 from radiant_core.errors import BadInput
@@ -257,7 +258,8 @@ def _node_row(run: Path, manifest: Manifest, node: str, num_cameras: int, planne
     return {
         "node": node,
         "num_cameras": num_cameras,
-        "planned_s": planned_s,
+        # The time of a group is not that of its machines.
+        "planned_s": None if (run / node / GROUP_FOLDER).is_dir() else planned_s,
         "measured_s": _seconds(manifest.stages, node),
         "emulated_s": _seconds(manifest.emulated, node),
         "sending_s": _seconds(manifest.emulated, node + UPLINK),

@@ -2,7 +2,8 @@
 
 Measured: a device's `train_s` of its summary, and what its process needed beside it as initialising
 (start, reading, first Gaussians, writing; with `--frames gps` and `known` its own structure from
-motion too); an edge's process; sending only where it was emulated. Once per run.
+motion too); an edge's process; sending only where it was emulated. Machines that train together have
+one time, from the start of the first until the last is done. Once per run.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from typing import Any
 import numpy as np
 
 from radiant_app.events import UPLINK
+from radiant_app.executors.emulated import RESUMED
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import dump_system, even_system, load_system
+from radiant_app.together.places import GROUP_FOLDER
 from radiant_core.aggregate.tree import refined_at
 from radiant_core.io.run_store import read_json, write_atomic
 from radiant_core.plan.plans import EdgePlan
@@ -31,6 +34,7 @@ from radiant_core.plan.timeline.prediction import (
     stage_errors,
 )
 from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
+from radiant_core.plan.together.groups import GroupPlan
 
 MAX_NAMES = 6
 """The most machines that a sentence names."""
@@ -43,24 +47,27 @@ def save_system(run: Path, system: System) -> None:
     write_atomic(run / SYSTEM_NAME, dump_system(system).encode())
 
 
-def prediction_of(run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan], law: RefiningLaw | None = None) -> dict[str, Any]:
-    """The predictions for metrics.json: stages, the makespan, refining, the error with corrections.
+def prediction_of(
+    run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan], law: RefiningLaw | None = None, groups: Sequence[GroupPlan] = ()
+) -> dict[str, Any]:
+    """The predictions for metrics.json: stages, groups, the makespan where models are joined,
+    refining, the error with corrections.
 
     `law`: how the scene is refined; None where its machines' times beside training hold more, as
     those that place their own photographs.
     """
-    system = load_system(run / SYSTEM_NAME)
-    planned = planned_stages(system, edge_plans)
-    measured = measured_seconds(run, manifest)
-    errors = stage_errors(planned, measured)
-    whole = makespan_error(errors, edge_plans)
+    system, members = load_system(run / SYSTEM_NAME), {node for group in groups for node in _members(group)}
+    measured = {key: seconds for key, seconds in measured_seconds(run, manifest).items() if key[0] not in members}
+    errors = stage_errors(planned_stages(system, edge_plans), measured)
+    whole, together = makespan_error(errors, edge_plans), _group_errors(manifest, groups)
     return {
         "curves": curves_note(system),
         "emulated": bool(manifest.emulated),
         "stages": [_row(error) for error in errors],
+        "together": [_row(error) for error in together],
         "makespan": None if whole is None else _row(whole),
         "refining": None if law is None else _refining_error(system, edge_plans, manifest, law),
-        "median_error_percent": _median_error(errors),
+        "median_error_percent": _median_error([*errors, *together]),
         "online": _online_errors(system, edge_plans, manifest, measured),
     }
 
@@ -83,6 +90,29 @@ def measured_seconds(run: Path, manifest: Manifest) -> dict[tuple[str, str], flo
             train_s = min(seconds, float(read_json(summary, ("train_s",))["train_s"]))
             seconds_of[node, "initialise"], seconds_of[node, "train"] = seconds - train_s, train_s
     return seconds_of
+
+
+def _members(group: GroupPlan) -> list[str]:
+    """Nodes of a group; with all edges of a run, the cloud too."""
+    cloud = ["cloud"] if group.level == "cloud" else []
+    return [*cloud, *(f"edges/{name}" for name in group.edges), *(f"devices/{name}" for name in group.views)]
+
+
+def _group_errors(manifest: Manifest, groups: Sequence[GroupPlan]) -> list[StageError]:
+    """All steps of each group, with what is before and after them; not of one with a node whose
+    time is not known, as after a resumed run."""
+    times, rows = {**manifest.stages, **manifest.emulated}, list[StageError]()
+    for group in groups:
+        spans = [times[node] for node in _members(group) if node in times]
+        resumed = any(f"{node}: {RESUMED}" in manifest.warnings for node in _members(group))
+        if resumed or not spans or any(span["ended_s"] <= span["started_s"] for span in spans):
+            continue
+        measured_s = max(span["ended_s"] for span in spans) - min(span["started_s"] for span in spans)
+        node = "cloud" if group.level == "cloud" else f"edges/{group.edges[0]}"
+        rows.append(
+            StageError(node=node, stage="together", num_cameras=group.num_photographs, predicted_s=group.seconds, measured_s=measured_s)
+        )
+    return rows
 
 
 def _refining_error(system: System, edge_plans: Sequence[EdgePlan], manifest: Manifest, law: RefiningLaw) -> dict[str, Any] | None:
@@ -140,7 +170,8 @@ def _list_names(names: Sequence[str]) -> str:
 
 
 def gantt_rows(system: System, edge_plans: Sequence[EdgePlan], run: Path | None = None, manifest: Manifest | None = None) -> list[Any]:
-    """Rows of `gantt_picture`, edges above devices; with a run, measured bars from its start."""
+    """Rows of `gantt_picture`, edges above devices; with a run, measured bars from its start, and of
+    machines that train together one bar each, measured alone."""
     from radiant_viewer.charts.charts import TimelineSpan
     from radiant_viewer.charts.gantt_chart import GanttRow
 
@@ -154,7 +185,8 @@ def gantt_rows(system: System, edge_plans: Sequence[EdgePlan], run: Path | None 
     rows: list[Any] = []
     for plan in edge_plans:
         for node in (f"edges/{plan.edge_id}", *(f"devices/{name}" for name in plan.device_ids)):
-            predicted = tuple(TimelineSpan(stage=row.stage, start_s=row.start_s, stop_s=row.stop_s) for row in planned_of.get(node, ()))
+            of_node = [] if run is not None and (run / node / GROUP_FOLDER).is_dir() else planned_of.get(node, [])
+            predicted = tuple(TimelineSpan(stage=row.stage, start_s=row.start_s, stop_s=row.stop_s) for row in of_node)
             if predicted or node in bars:
                 rows.append(GanttRow(name=node, predicted=predicted, measured=bars.get(node, ()), strong=node.startswith("edges/")))
     predicted = tuple(TimelineSpan(stage=row.stage, start_s=row.start_s, stop_s=row.stop_s) for row in planned_of.get("cloud", ()))
@@ -173,8 +205,12 @@ def _measured_bars(run: Path, manifest: Manifest) -> dict[str, tuple[Any, ...]]:
     for node in dict.fromkeys(node for node, _ in measured if node != "cloud"):
         at_s = max(0.0, times[node]["started_s"] - began_s)
         spans: list[Any] = []
-        for stage in ("initialise", "train", "aggregate", "send"):
-            if (seconds := measured.get((node, stage))) is not None:
+        stages = {stage: measured.get((node, stage)) for stage in ("initialise", "train", "aggregate", "send")}
+        if (run / node / GROUP_FOLDER).is_dir():
+            # It waits for others in every step.
+            stages = {"train": sum(seconds or 0.0 for seconds in stages.values())}
+        for stage, seconds in stages.items():
+            if seconds is not None:
                 spans.append(TimelineSpan(stage=stage, start_s=at_s, stop_s=at_s + seconds))
                 at_s += seconds
         bars[node] = tuple(spans)

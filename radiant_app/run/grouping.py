@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Decided, Listener
+from radiant_app.events import Decided, Listener, Warned
 from radiant_app.files.system_file import even_system
 from radiant_app.run.predictions import planned_training, refining_law_of
+from radiant_app.together.places import LATE_S
 from radiant_core.io.transport.upload import BYTES_FACTORS
 from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.system import Device, System
@@ -31,8 +32,9 @@ devices that trained on the town side by side on two cores, 500 steps in 6.3 s."
 def choose_run_groups(
     config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], listen: Listener, *, photographs_move: bool = True
 ) -> tuple[GroupPlan, ...]:
-    """The groups of a run with this plan, of a system at `costs_of_run`; emits the decisions. None
-    where models are joined.
+    """The groups of a run with this plan, of a system at `costs_of_run`; emits the decisions, and a
+    warning where a step takes longer than machines wait for each other. None where models are
+    joined.
 
     `photographs_move`: whether the plan deals photographs, or each device keeps its own.
     """
@@ -44,6 +46,11 @@ def choose_run_groups(
     groups, decisions = choose_groups(system, edge_plans, rules)
     for decision in decisions:
         listen(Decided(decision=decision))
+    for group in groups:
+        if group.step_s > LATE_S:
+            names = ", ".join(group.views)
+            late = f"a step of {names} together takes {group.step_s:,.0f} s as predicted, and who says nothing for {LATE_S:g} s is left out"
+            listen(Warned(stage="plan", message=f"{late}: use --within-edge joined, or faster links or machines."))
     return groups
 
 

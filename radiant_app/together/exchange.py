@@ -24,8 +24,6 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.train.together.roles import MOST_STATE_BYTES
 
 START, GRADIENTS, BEGIN, TOTAL, END = b"S", b"G", b"B", b"T", b"E"
-LATE_S = 60.0
-"""A machine that is linked and says nothing for so long is left out until it comes back."""
 GONE_S = 300.0
 """One whose link is lost is waited for so long: its process may be started again."""
 MOST_LATE = 3

@@ -15,9 +15,9 @@ from pathlib import Path
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from radiant_app.reporting import EventReporter
-from radiant_app.together.exchange import BEGIN, END, GONE_S, GRADIENTS, LATE_S, START, TOTAL, pack, unpack
+from radiant_app.together.exchange import BEGIN, END, GONE_S, GRADIENTS, START, TOTAL, pack, unpack
 from radiant_app.together.links import ChildLink, LinkLost, LinkRules, Traffic, connect
-from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, mark_done, meeting_of
+from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, LATE_S, mark_done, meeting_of
 from radiant_app.together.playing import PlayedMachine, play_machine
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed

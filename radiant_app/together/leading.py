@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from radiant_app.reporting import EventReporter
-from radiant_app.together.exchange import BEGIN, GONE_S, LATE_S, RELAY_STATE, TOTAL, Answer, Children, begin_anew, pack, unpack_sum
+from radiant_app.together.exchange import BEGIN, GONE_S, RELAY_STATE, TOTAL, Answer, Children, begin_anew, pack, unpack_sum
 from radiant_app.together.links import LinkLost, LinkRules, ParentLinks
-from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, meeting_of
+from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, INITIAL, LATE_S, meeting_of
 from radiant_app.together.playing import play_machine
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError

@@ -10,6 +10,8 @@ GROUP_FOLDER, ENDED_NAME = "group", "end.json"
 steps were taken: its process may be started again after that."""
 INITIAL = "initial.safetensors"
 """There too: the Gaussians that the training began with."""
+LATE_S = 60.0
+"""A machine that is linked and says nothing for so long is left out until it comes back."""
 
 
 def meeting_of(folder: Path, parent: str) -> Path:

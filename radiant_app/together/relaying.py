@@ -21,7 +21,6 @@ from radiant_app.together.exchange import (
     BEGIN,
     END,
     GONE_S,
-    LATE_S,
     RELAY_STATE,
     START,
     TOTAL,
@@ -33,7 +32,7 @@ from radiant_app.together.exchange import (
 )
 from radiant_app.together.holding import CONNECT_S
 from radiant_app.together.links import ChildLink, LinkLost, LinkRules, ParentLinks, Traffic, connect
-from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, mark_done, meeting_of
+from radiant_app.together.places import ENDED_NAME, GROUP_FOLDER, LATE_S, mark_done, meeting_of
 from radiant_app.together.playing import play_machine
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed

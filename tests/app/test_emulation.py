@@ -20,7 +20,7 @@ import pytest
 
 from radiant_app.events import Event, StageDone, StageProgress, Warned
 from radiant_app.executors import emulated_node, local
-from radiant_app.executors.emulated import RESUMED, EmulatedExecutor, emulated_figures, require_emulable
+from radiant_app.executors.emulated import RESUMED, EmulatedExecutor, crowding_of, emulated_figures, require_emulable
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.run_folder import Manifest
@@ -281,6 +281,21 @@ def test_a_machine_that_cannot_play_the_system_says_what_to_change(tmp_path: Pat
         (tmp_path / "system.toml").write_text(f'[[edge]]\nid = "e"\nspeed = {speed}\n[[edge.device]]\nid = "d"\n')
         with pytest.raises(BadInput, match=r"edge\[0\]\.speed is"):
             load_system(tmp_path / "system.toml")
+
+
+def test_machines_that_train_together_are_counted_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Edge of 0.5 and devices of 0.8 and 0.8 need 1.6 cores one after the other, together 2.1; a cloud among them is a core."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+    fleet = system(tmp_path, (0.8, 0.8))
+    require_emulable(fleet)
+    assert crowding_of(fleet, TREE) is None and crowding_of(system(tmp_path, (0.8, 0.7)), GANG) is None
+    assert "need 2.1 cores" in str(crowding_of(fleet, GANG))
+    with_cloud = with_gangs(TREE, lambda node_id: "cloud")
+    assert crowding_of(system(tmp_path, (0.25, 0.25)), with_cloud) is None
+    assert "need 2.1 cores" in str(crowding_of(system(tmp_path, (0.3, 0.3)), with_cloud))
+    events: list[Event] = []
+    executor(fleet, {}).fold(GANG, preparer(tmp_path), events.append)
+    assert [event.stage for event in events if isinstance(event, Warned) and "need 2.1 cores" in event.message] == ["cloud"]
 
 
 def _renamed(emulated: System, name: str):

@@ -11,11 +11,12 @@ import pytest
 from radiant_app.commands.machine.exchange_time import measure_exchange
 from radiant_app.config.fields import config_of
 from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, TrainOptions
-from radiant_app.events import Decided, Event
+from radiant_app.events import Decided, Event, Warned
 from radiant_app.files.system_file import even_system, load_system
 from radiant_app.run.foreseen import planned_makespan_s
 from radiant_app.run.grouping import VIEW_S, choose_run_groups, group_rules, obstacle_of
 from radiant_app.run.stages import costs_of_run
+from radiant_app.together.places import LATE_S
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
 from radiant_core.hierarchy.recipe import Recipe
@@ -64,6 +65,10 @@ def chosen(
     heard: list[Event] = []
     edges = split_edges(positions, plan, system)
     groups = choose_run_groups(config, system, edges, heard.append, photographs_move=photographs_move)
+    # A step that is too long for them is said, and only such a one.
+    late = [event.message for event in heard if isinstance(event, Warned)]
+    assert len(late) == sum(group.step_s > LATE_S for group in groups)
+    assert all("who says nothing for 60 s is left out: use --within-edge joined" in message for message in late)
     return groups, [event for event in heard if isinstance(event, Decided)], edges
 
 
@@ -94,6 +99,14 @@ def test_links_decide_between_the_same_machines(tmp_path: Path, link_mbit: float
     assert bool(groups) == together
     assert not event.decision.forced
     assert event.decision.unit.startswith("s together, ")
+
+
+def test_a_step_that_is_longer_than_machines_wait_for_each_other_is_said(tmp_path: Path) -> None:
+    config = with_plan(within_edge="together")
+    (slow,), _, _ = chosen(config, unequal_system(tmp_path, 1e4, latency_ms=40_000.0))
+    assert slow.step_s == pytest.approx(80.0, rel=0.1)
+    (usual,), _, _ = chosen(config, unequal_system(tmp_path, 1e4))
+    assert usual.step_s < 1.0
 
 
 def test_a_device_without_memory_for_one_model_of_all_keeps_its_edge_joined(tmp_path: Path) -> None:

@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from radiant_app.config.run_config import PlanOptions, RunConfig, SfmOptions
+from radiant_app.executors.emulated import RESUMED
 from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import dump_system
-from radiant_app.report.prediction_error import prediction_of
+from radiant_app.report.prediction_error import gantt_rows, prediction_of
 from radiant_app.run.captured import Captured
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.predictions import (
@@ -32,13 +33,16 @@ from radiant_app.run.predictions import (
 )
 from radiant_app.run.progress import Progress
 from radiant_app.run.stages import FRAMES_UNPREDICTED, warn_about_predictions
+from radiant_app.together.places import GROUP_FOLDER
 from radiant_core.aggregate.config import AggregateConfig, Refine, aggregate_preset
+from radiant_core.io.run_store import write_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.curve_fit import FittedCurve
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import Cloud, System
 from radiant_core.plan.timeline.refining import RefiningLaw, predict_refining
+from radiant_core.plan.together.groups import GroupPlan
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.memory import BASE_BYTES, IMAGE_BYTES_PER_PX, PROCESS_BYTES, STEP_BYTES_PER_PX, bytes_per_splat, most_cameras
 from tests.core.plan.test_prediction import SYSTEM, planned
@@ -294,3 +298,50 @@ def test_refining_is_not_compared_where_a_time_is_not_known(tmp_path: Path) -> N
     emulated = manifest_of(seconds, emulated={"devices/a1": {"started_s": 0.0, "ended_s": 9.0}})
     for manifest, rounds in ((manifest_of({}), law), (resumed, law), (emulated, law), (manifest_of(seconds), None)):
         assert prediction_of(tmp_path, manifest, edges, rounds)["refining"] is None
+
+
+GROUP = GroupPlan(level="edge", edges=("a",), views={"a1": 1, "a2": 1}, num_photographs=30, num_steps=100, step_s=0.2, end_s=2.0)
+
+
+def test_machines_that_train_together_have_one_time_and_the_others_their_stages(tmp_path: Path) -> None:
+    system, edges, _ = edges_of_a_run()
+    (tmp_path / "system.toml").write_bytes(dump_system(system).encode())
+    seconds = {"devices/a1": 30.0, "devices/a2": 31.0, "edges/a": 33.0, "edges/b": 4.0, "cloud": 5.0}
+    prediction = prediction_of(tmp_path, manifest_of(seconds), edges, groups=(GROUP,))
+    (row,) = prediction["together"]
+    assert (row["node"], row["stage"], row["num_cameras"]) == ("edges/a", "together", 30)
+    assert (row["predicted_s"], row["measured_s"]) == pytest.approx((22.0, 33.0))
+    # The law of joined models says nothing about them, nor about the whole.
+    assert {row["node"] for row in prediction["stages"]} <= {"edges/b", "cloud"} and prediction["makespan"] is None
+    assert "edges/b" in {row["node"] for row in prediction["stages"]}
+    of_all = replace(GROUP, level="cloud", edges=("a", "b"), views={"a1": 1, "a2": 1, "b1": 1})
+    prediction = prediction_of(tmp_path, manifest_of({**seconds, "devices/b1": 40.0}), edges, groups=(of_all,))
+    assert [(row["node"], row["measured_s"]) for row in prediction["together"]] == [("cloud", pytest.approx(40.0))]
+    assert prediction["stages"] == [] and prediction["median_error_percent"] == pytest.approx(45.0)
+
+
+def test_the_time_of_a_group_is_not_known_where_a_machine_was_skipped(tmp_path: Path) -> None:
+    system, edges, _ = edges_of_a_run()
+    (tmp_path / "system.toml").write_bytes(dump_system(system).encode())
+    for seconds in ({"devices/a1": 30.0, "devices/a2": 0.0, "edges/a": 33.0}, {}):
+        assert prediction_of(tmp_path, manifest_of(seconds), edges, groups=(GROUP,))["together"] == []
+    seconds = {"devices/a1": 30.0, "devices/a2": 31.0, "edges/a": 33.0}
+    assert prediction_of(tmp_path, manifest_of(seconds), edges, groups=(GROUP,))["together"] != []
+    resumed = manifest_of(seconds, warnings=[f"edges/a: {RESUMED}"])
+    assert prediction_of(tmp_path, resumed, edges, groups=(GROUP,))["together"] == []
+
+
+def test_a_chart_has_no_planned_stages_of_machines_that_train_together(tmp_path: Path) -> None:
+    system, edges, _ = edges_of_a_run()
+    for node in ("devices/a1", "devices/a2", "edges/a"):
+        (tmp_path / node / GROUP_FOLDER).mkdir(parents=True)
+    for node in ("devices/a1", "devices/a2"):
+        write_json(tmp_path / node / "summary.json", {"train_s": 10.0})
+    manifest = manifest_of({"devices/a1": 30.0, "devices/a2": 31.0, "edges/a": 33.0, "edges/b": 4.0})
+    rows = {row.name: row for row in gantt_rows(system, edges, tmp_path, manifest)}
+    assert not rows["edges/a"].predicted and not rows["devices/a1"].predicted
+    assert rows["edges/b"].predicted
+    bars = {name: [(span.stage, span.stop_s - span.start_s) for span in row.measured] for name, row in rows.items()}
+    assert bars["devices/a1"] == [("train", pytest.approx(30.0))] and bars["edges/a"] == [("train", pytest.approx(33.0))]
+    assert bars["edges/b"] == [("aggregate", pytest.approx(4.0))]
+    assert all(row.predicted for row in gantt_rows(system, edges))

@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from radiant_viewer.layers.layer import Label, Layer, LegendEntry
 from radiant_viewer.pictures.images import Drawing
-from radiant_viewer.pictures.page import GAP_PX, MIN_SIZE_WH, TITLE_PX, PageText, compose_page, drawing_size_wh, in_two_lines
+from radiant_viewer.pictures.page import (
+    GAP_PX,
+    MIN_SIZE_WH,
+    TITLE_PX,
+    PageText,
+    compose_page,
+    drawing_size_wh,
+    in_two_lines,
+    titled_figure,
+)
 
 VERDICT = (
     "Seam found at 1 of 1 border; observed: all 30.29 m   ·   largest over a border: edge-1 | edge-2, 35.7 levels beside 8.8 of texture; "
@@ -48,3 +58,21 @@ def test_a_line_is_broken_where_its_sense_breaks_if_both_halves_fit() -> None:
         assert in_two_lines(VERDICT, lambda half, limit=limit: len(half) <= limit).replace("\n", "").replace(" ", "").replace("·", "") == (
             VERDICT.replace(" ", "").replace("·", "")
         )
+
+
+def test_a_name_with_dollars_is_drawn_as_it_is() -> None:
+    # As a formula the first would be refused, the second narrower than its letters.
+    assert text_below_the_title((900, 700), "from $a_{1$.jpg")[1] > 80
+    assert text_below_the_title((900, 700), "from $a$.jpg")[1] > text_below_the_title((900, 700), "from a.jpg")[1]
+    name = "$\\foo$.jpg"
+    layer = Layer(
+        name=name,
+        labels=(Label(text=name, position=np.zeros(3)),),
+        legend=(LegendEntry(text=name, color=(0, 0, 0), marker="dot"),),
+    )
+    width, height = drawing_size_wh((900, 700), is_map=False)
+    drawing = Drawing(
+        image=np.full((height, width, 3), 255, np.uint8), label_px=np.full((1, 2), 50.0), mark_px=np.zeros((0, 2)), extent=None
+    )
+    assert compose_page(drawing, [layer], (900, 700), PageText(title=name)).min() < 100
+    titled_figure((400, 300), name, name).canvas.draw()

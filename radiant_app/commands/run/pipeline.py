@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,6 +58,7 @@ from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.signing import keeps_modes
 from radiant_core.plan.system import System
+from radiant_core.plan.together.groups import GroupPlan
 from radiant_core.splats import Splats
 
 if TYPE_CHECKING:
@@ -137,10 +138,11 @@ def run(
         emulation = emulated_figures(config.out, conducted.tree, rounds, manifest) if config.emulated else {}
         missed = {"not_refined": left_out(dealer, rounds), "partly_refined": partly_left_out(dealer, rounds)}
         refined = {"refined": dealer.version == REFINED, **missed}
-        makespan_s, bound_s = planned_makespan_s(dealer.recipe, plan.groups), dealer.recipe.cloud_plan.lower_bound_s
-        planned = {"planned_makespan_s": makespan_s, "plan_lower_bound_s": bound_s}
+        # The bound is that of plans whose models are joined.
+        bound_s = None if plan.groups else dealer.recipe.cloud_plan.lower_bound_s
+        planned = {"planned_makespan_s": planned_makespan_s(dealer.recipe, plan.groups), "plan_lower_bound_s": bound_s}
         more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **planned, **refined, **emulation}
-        metrics = _write_metrics(config, manifest, dealer.recipe, more)
+        metrics = _write_metrics(config, manifest, dealer.recipe, plan.groups, more)
         manifest.status = "done"
         draw_report(config.out, manifest, metrics, whole)
     return RunResult(folder=config.out, metrics=metrics)
@@ -205,7 +207,9 @@ def _locate_photographs(config: RunConfig, system: System, owners: OwnersMachine
     return PooledPhotographs.reconstruct(config, progress)
 
 
-def _write_metrics(config: RunConfig, manifest: Manifest, recipe: Recipe, more: dict[str, Any]) -> dict[str, Any]:
+def _write_metrics(
+    config: RunConfig, manifest: Manifest, recipe: Recipe, groups: Sequence[GroupPlan], more: dict[str, Any]
+) -> dict[str, Any]:
     run = config.out
     result = read_json(run / "evaluation" / "result.json", ("images", "psnr_db"))
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
@@ -213,7 +217,7 @@ def _write_metrics(config: RunConfig, manifest: Manifest, recipe: Recipe, more: 
     # What devices that place their own photographs need beside training is mostly that.
     num_cameras, num_devices = sum(len(plan.camera_indices) for plan in edge_plans), len(recipe.system.devices)
     law = refining_law_of(recipe.train, recipe.aggregate, num_cameras, num_devices, fixed=config.train.step_policy == "fixed")
-    prediction = prediction_of(run, manifest, edge_plans, law if config.frames == "shared" else None)
+    prediction = prediction_of(run, manifest, edge_plans, law if config.frames == "shared" else None, groups)
     costs = {"peak_bytes": {**manifest.peak_bytes, "run": peak_bytes()}, "cpu_s": {**manifest.cpu_s, "run": time.process_time()}}
     promises = promises_of(config, pooled=result.get("pooled", True))
     if (survey := survey_of_run(run)) is not None:

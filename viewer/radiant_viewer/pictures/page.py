@@ -2,6 +2,7 @@
 
 Once per picture, with matplotlib's own rasteriser: the same pixels everywhere, no window. Labels
 that would cover each other or leave the drawing are moved, and the less important ones dropped.
+Texts are drawn as they are given (`parse_math`): photographs have $ in their names.
 """
 
 from __future__ import annotations
@@ -92,8 +93,8 @@ def new_figure(size_wh: tuple[int, int]) -> Figure:
 def titled_figure(size_wh: tuple[int, int], title: str, detail: str = "") -> Figure:
     """Return a figure of `size_wh` px with a bold title and a line of detail at the upper left."""
     figure = new_figure(size_wh)
-    figure.text(16 / size_wh[0], 1 - 14 / size_wh[1], title, size=14, weight="bold", color=INK_COLOR, va="top")
-    figure.text(16 / size_wh[0], 1 - 40 / size_wh[1], detail, size=9.5, color=SOFT_COLOR, va="top")
+    figure.text(16 / size_wh[0], 1 - 14 / size_wh[1], title, size=14, weight="bold", color=INK_COLOR, va="top", parse_math=False)
+    figure.text(16 / size_wh[0], 1 - 40 / size_wh[1], detail, size=9.5, color=SOFT_COLOR, va="top", parse_math=False)
     return figure
 
 
@@ -123,8 +124,10 @@ def figure_image(figure: Figure) -> Image:
 
 def _add_title(figure: Figure, text: PageText, left_px: int) -> None:
     width, height = figure.get_size_inches() * DPI
-    title = figure.text(left_px / width, 1 - 14 / height, text.title, size=14, weight="bold", color=INK_COLOR, va="top")
-    line = figure.text(left_px / width, 1 - 39 / height, text.subtitle, size=9.5, color=SOFT_COLOR, va="top", linespacing=1.15)
+    title = figure.text(left_px / width, 1 - 14 / height, text.title, size=14, weight="bold", color=INK_COLOR, va="top", parse_math=False)
+    line = figure.text(
+        left_px / width, 1 - 39 / height, text.subtitle, size=9.5, color=SOFT_COLOR, va="top", linespacing=1.15, parse_math=False
+    )
     canvas = figure.canvas
     assert isinstance(canvas, FigureCanvasAgg)
     room = width - left_px - GAP_PX
@@ -201,7 +204,7 @@ def _add_scale_bar(axes: Axes, extent: tuple[float, float, float, float], unit: 
     box = Rectangle((x - 9, y - 25), bar_px + 18, 36, facecolor="white", edgecolor="none", alpha=0.85, zorder=4)
     axes.add_patch(box)
     axes.plot([x, x, x + bar_px, x + bar_px], [y - 5, y, y, y - 5], color=INK_COLOR, linewidth=1.6, zorder=5)
-    axes.text(x + bar_px / 2, y - 6, f"{length:,g} {unit}", size=9, color=INK_COLOR, ha="center", va="bottom", zorder=5)
+    axes.text(x + bar_px / 2, y - 6, f"{length:,g} {unit}", size=9, color=INK_COLOR, ha="center", va="bottom", zorder=5, parse_math=False)
     return Bbox.from_extents(x - 9, y - 25, x + bar_px + 9, y + 11)
 
 
@@ -217,7 +220,9 @@ def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], occupied:
         if not (0 <= x <= width and 0 <= y <= height):
             continue
         style = {"size": 9.5, "weight": "bold"} if labels[index].strong else {"size": 8.5, "weight": "normal"}
-        artist = axes.text(x, y, labels[index].text, color=INK_COLOR, ha="center", va="center", zorder=6, linespacing=1.25, **style)
+        artist = axes.text(
+            x, y, labels[index].text, color=INK_COLOR, ha="center", va="center", zorder=6, linespacing=1.25, parse_math=False, **style
+        )
         artist.set_bbox({"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.8})
         size = artist.get_window_extent(canvas.get_renderer())
         place = _find_free_place((x, y), (size.width + 8, size.height + 6), (width, height), occupied, drawing.mark_px)
@@ -257,7 +262,7 @@ def _add_legend(figure: Figure, layers: Sequence[Layer], corner_px: tuple[float,
     for layer in [layer for layer in layers if layer.legend or layer.heat]:
         if y + 2 * LINE_PX > top_px - LINE_PX:
             break
-        axes.text(8, y, layer.name, size=10, weight="bold", color=INK_COLOR, va="center")
+        axes.text(8, y, layer.name, size=10, weight="bold", color=INK_COLOR, va="center", parse_math=False)
         y += LINE_PX
         room = max(1, int((top_px - LINE_PX - y) // LINE_PX))
         entries = layer.legend if len(layer.legend) <= room else layer.legend[: room - 1]
@@ -284,11 +289,11 @@ def _add_entry(axes: Axes, entry: LegendEntry, y: float) -> None:
         rim = 0.0 if entry.marker == "dot" else 1.4
         shape = "s" if entry.marker == "square" else "o"
         axes.plot([20], [y], marker=shape, markersize=7, markerfacecolor=color, markeredgecolor=edge, markeredgewidth=rim)
-    axes.text(38, y, entry.text, size=9, color=INK_COLOR, va="center")
+    axes.text(38, y, entry.text, size=9, color=INK_COLOR, va="center", parse_math=False)
 
 
 def _add_heat(axes: Axes, heat: HeatScale, y: float) -> float:
-    axes.text(10, y, heat.label, size=9, color=INK_COLOR, va="center")
+    axes.text(10, y, heat.label, size=9, color=INK_COLOR, va="center", parse_math=False)
     left, right, top = 10, PANEL_PX - 60, y + 12
     axes.imshow(heat_table(heat.start)[None], extent=(left, right, top + 13, top), aspect="auto", interpolation="nearest", zorder=2)
     axes.set(xlim=(0, PANEL_PX), ylim=(axes.get_ylim()[0], 0))
