@@ -87,8 +87,8 @@ def require_emulable(system: System) -> None:
 
 
 def crowding_of(system: System, tree: Tree) -> str | None:
-    """What to say where machines that train together, edges beside their devices and the cloud, need
-    more cores than there are while all of them work; None where cores suffice."""
+    """What to say where machines that train together, edges beside their devices and the cloud,
+    need more cores than there are while all of them work; None where cores suffice."""
     machines, together = _machines(system), [node.id for node in tree if node.gang is not None]
     demand, cores = sum(machines[node].speed or 0 if node in machines else 1.0 for node in together), len(os.sched_getaffinity(0))
     if demand <= cores * (1 + 1e-9):

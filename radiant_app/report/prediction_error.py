@@ -2,8 +2,8 @@
 
 Measured: a device's `train_s` of its summary, and what its process needed beside it as initialising
 (start, reading, first Gaussians, writing; with `--frames gps` and `known` its own structure from
-motion too); an edge's process; sending only where it was emulated. Machines that train together have
-one time, from the start of the first until the last is done. Once per run.
+motion too); an edge's process; sending only where it was emulated. Machines that train together
+have one time, from the start of the first until the last is done. Once per run.
 """
 
 from __future__ import annotations
@@ -170,8 +170,8 @@ def _list_names(names: Sequence[str]) -> str:
 
 
 def gantt_rows(system: System, edge_plans: Sequence[EdgePlan], run: Path | None = None, manifest: Manifest | None = None) -> list[Any]:
-    """Rows of `gantt_picture`, edges above devices; with a run, measured bars from its start, and of
-    machines that train together one bar each, measured alone."""
+    """Rows of `gantt_picture`, edges above devices; with a run, measured bars from its start,
+    and of machines that train together one bar each, measured alone."""
     from radiant_viewer.charts.charts import TimelineSpan
     from radiant_viewer.charts.gantt_chart import GanttRow
 
