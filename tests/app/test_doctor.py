@@ -63,6 +63,7 @@ def test_a_run_is_one_training_where_memory_holds_it(curves: Path) -> None:
     assert found.unknown == ("edge",) and found.shortage is None
 
 
+@pytest.mark.usefixtures("usual_rounds")
 def test_a_run_takes_what_its_stages_take_one_wave_after_another(curves: Path) -> None:
     free = room_for(18)
     found = forecast(80, curves, free_bytes=free)

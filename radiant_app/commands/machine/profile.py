@@ -188,18 +188,19 @@ def _epochs(node: Path) -> int | None:
 
 
 def library_table() -> str:
-    """The library's machines, a line each, and then the training and the source of their figures,
-    in lines of `TABLE_COLUMNS`."""
+    """The library's machines, a line each, their seconds beside the training that they are of; then
+    what each is and the source of its figures, in lines of `TABLE_COLUMNS`."""
     listed = {name: load_profile(path, name) for name, path in library_profiles().items()}
-    lines = [f"{'profile':<12} {'kind':<9} {'100 photographs':>15}  machine"]
+    lines = [f"{'profile':<12} {'kind':<9} {'100 photographs':>15}  of the training"]
     for name, known in listed.items():
         total_s = float(known.init_s.curve(100) + known.train_s.curve(100))
-        lines.append(f"{name:<12} {known.kind:<9} {total_s:>13,.0f} s  {known.machine}")
+        row = f"{name:<12} {known.kind:<9} {total_s:>13,.0f} s  "
+        lines += textwrap.wrap(str(known.key), TABLE_COLUMNS, initial_indent=row, subsequent_indent=" " * len(row))
     lines += textwrap.wrap("Times of different trainings do not compare; a plan scales each to its own training.", TABLE_COLUMNS)
     for name, known in listed.items():
         lines += [
             "",
-            *textwrap.wrap(f"{name}: {known.key!s}. {known.source}", TABLE_COLUMNS, subsequent_indent="  ", break_on_hyphens=False),
+            *textwrap.wrap(f"{name}: {known.machine}. {known.source}", TABLE_COLUMNS, subsequent_indent="  ", break_on_hyphens=False),
         ]
     return "\n".join(lines)
 
