@@ -167,7 +167,10 @@ def test_the_command_that_resumes_a_run_is_the_one_that_began_it(tmp_path: Path)
 
 
 def test_stopping_ends_the_process_that_holds_the_lock(tmp_path: Path) -> None:
-    code = "import sys, time; from pathlib import Path; from radiant_core.io.run_store import RunLock\n"
+    # As a run does, also where it inherits that SIGINT is ignored, as the jobs of a script in the background do.
+    code = "import signal, sys, time; from pathlib import Path; from radiant_core.io.run_store import RunLock\n"
+    code += "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+    code += "from radiant_app.interrupts import interrupt_on_signals\ninterrupt_on_signals()\n"
     code += "with RunLock(Path(sys.argv[1])):\n print('held', flush=True); time.sleep(600)"
     with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout is not None and process.stdout.readline() == b"held\n"
