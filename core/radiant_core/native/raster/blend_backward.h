@@ -76,7 +76,8 @@ RADIANT_INLINE void start_block(const View& view, int tile, int block, int64_t c
   b.transmittance = keep(broadcast(int32_t{0}) < load(started), b.final_transmittance);
 }
 
-// Whether no pixel of the block has a gradient, as behind a mask: its moments are 0. NaN is a gradient.
+// Whether no pixel of the block has a gradient, as behind a mask: its moments are 0. NaN is a
+// gradient.
 RADIANT_INLINE bool has_no_gradient(const BlockState& b) {
   const F zero = broadcast(0.0f);
   const uint32_t none = bits_of(abs(b.red) <= zero) & bits_of(abs(b.green) <= zero) & bits_of(abs(b.blue) <= zero) & bits_of(abs(b.depth) <= zero) &
