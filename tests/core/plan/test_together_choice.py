@@ -162,7 +162,7 @@ def test_together_is_chosen_up_to_twice_the_time_of_joined_by_its_own_times(seed
         cloud=Cloud(latency_s=rng.uniform(0, 0.05), merge_s=CostCurve(linear=rng.random()) if rng.random() < 0.5 else None),
         edges=tuple(replace(each, latency_s=rng.uniform(0, 0.01)) for each in system.edges),
     )
-    law = replace(LAW, splat_bytes=10 ** rng.uniform(2, 5), views_per_photograph=10 ** rng.uniform(-1, 2))
+    law = replace(LAW, splat_bytes=10 ** rng.uniform(2, 5), views_per_photograph=10 ** rng.uniform(1, 3))
     rules = replace(REFINED if rng.random() < 0.5 else RULES, law=law)
     plans = planned(system, 40)
     groups, decisions = choose_groups(system, plans, rules)
@@ -194,6 +194,14 @@ def test_more_than_twelve_views_a_step_are_joined_unless_asked_for(num_devices: 
     assert asked.group is not None and sum(asked.group.views.values()) == num_devices
     assert (choice.group is not None) == together
     assert ("with 13 views a step, more than 12, joined models are the better ones" in choice.decision.reason) != together
+
+
+@pytest.mark.parametrize(("looks", "together"), [(10.0, True), (9.9, False)])
+def test_fewer_than_ten_looks_at_each_photograph_are_joined_unless_asked_for(looks: float, together: bool) -> None:
+    at, rules = edge("a", 1e5, num_devices=2), replace(RULES, law=replace(LAW, views_per_photograph=looks))
+    choice, asked = within(at, rules), within(at, replace(rules, within="together"))
+    assert asked.group is not None and (choice.group is not None) == together
+    assert ("with 9.9 looks at each photograph, fewer than 10, joined models are the better ones" in choice.decision.reason) != together
 
 
 @pytest.mark.parametrize("link_mbit", [20.0, 1000.0])

@@ -6,7 +6,7 @@
                         of one group of all                        its own choice, merge, refining
 
 Together is chosen where it takes less than `WORTH` times as long as joined models, by at most
-`MOST_VIEWS` views a step. Where devices' times are nobody's, links alone decide: joining and
+`MOST_VIEWS` views a step and with `LEAST_LOOKS` at each photograph. Where devices' times are nobody's, links alone decide: joining and
 refining last about as long as the training before them, so a step may last less than 2 · `WORTH`
 times its views. Both predicted times are in the decision, also where a user forces it. Once per
 plan.
@@ -47,6 +47,10 @@ all also after three times the steps (docs/experiments/aggregation.md)."""
 MOST_VIEWS = 12
 """Views a step up to which that holds: by 12 the town is 0.9 dB ahead and caliterra 0.2 behind, by
 24, of sixteen devices, 400 photographs are 0.3 dB behind (docs/experiments/together.md)."""
+LEAST_LOOKS = 10
+"""Times that a training shows each photograph, from which on that holds: 12 looks at each of the
+town are enough, with 6 at each of 1,600 the model of eight devices fell apart
+(docs/experiments/together.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,7 +179,8 @@ def _assumed(machines: Sequence[Edge | Cloud]) -> str:
 def _chosen(case: _Case, group: GroupPlan, cost: StepCost, joined_s: float, level_bytes_per_s: float | None) -> GroupChoice:
     by_links = case.law.view_s is not None
     is_short = cost.step_s < 2 * WORTH * cost.views_s if by_links else group.seconds < WORTH * joined_s
-    worth_it = is_short and group.views_a_step <= MOST_VIEWS
+    looks = case.law.views_per_photograph
+    worth_it = is_short and group.views_a_step <= MOST_VIEWS and looks >= LEAST_LOOKS
     together = case.wanted == "together" or (case.wanted == "auto" and worth_it)
     views_text = " + ".join(map(str, group.views.values())) if len(group.views) <= 8 else f"{group.views_a_step}"
     who = f"{case.about}: {len(group.views)} devices train together, {views_text} views a step"
@@ -194,6 +199,8 @@ def _chosen(case: _Case, group: GroupPlan, cost: StepCost, joined_s: float, leve
         reason = f"{took}; {at} it would take {WORTH:g} times as long as joining, which its quality is worth"
     if group.views_a_step > MOST_VIEWS:
         reason += f"; with {group.views_a_step} views a step, more than {MOST_VIEWS}, joined models are the better ones"
+    if looks < LEAST_LOOKS:
+        reason += f"; with {looks:.1f} looks at each photograph, fewer than {LEAST_LOOKS}, joined models are the better ones"
     decision = Decision(
         stage=STAGE,
         topic=case.topic,
