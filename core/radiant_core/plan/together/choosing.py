@@ -6,10 +6,10 @@
                         of one group of all                        its own choice, merge, refining
 
 Together is chosen where it takes less than `WORTH` times as long as joined models, by at most
-`MOST_VIEWS` views a step and with `LEAST_LOOKS` at each photograph. Where devices' times are nobody's, links alone decide: joining and
-refining last about as long as the training before them, so a step may last less than 2 · `WORTH`
-times its views. Both predicted times are in the decision, also where a user forces it. Once per
-plan.
+`MOST_VIEWS` views a step and with `LEAST_LOOKS` at each photograph. Where devices' times are
+nobody's, links alone decide: joining and refining last about as long as the training before them,
+so a step may last less than 2 · `WORTH` times its views. Both predicted times are in the decision,
+also where a user forces it. Once per plan.
 """
 
 from __future__ import annotations
