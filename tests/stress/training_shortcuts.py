@@ -24,6 +24,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
@@ -128,34 +129,21 @@ def _chances(errors: np.ndarray, mean: float) -> np.ndarray:
 @contextmanager
 def strips(share: float) -> Iterator[None]:
     """A step's picture is a band of rows of the photograph, at a random place."""
-    rng = np.random.default_rng(0)
+    rng, backward = np.random.default_rng(0), ViewLoss.backward
 
     def of_strip(self: Any, splats: Any, moment: Any, parts: Any, watch: Any) -> Any:
-        config, view = self._config, moment.view
-        target = torch.from_numpy(np.divide(self._views.images[view], np.float32(255)))
-        height, width = target.shape[:2]
+        whole, Ks, statistics = self._views, self._Ks, self._statistics
+        height = whole.images[moment.view].shape[0]
         rows = min(height, BLOCK_PX * round(share * height / BLOCK_PX))
         top = int(rng.integers(0, height - rows + 1))
-        K = self._Ks[view : view + 1].clone()
-        K[0, 1, 2] -= top
-        rendered = splats
-        for part in parts:
-            rendered = part.before_render(moment, rendered)
-        output = rasterize(
-            rendered,
-            self._viewmats[view : view + 1],
-            K,
-            width,
-            rows,
-            sh_degree=view_loss.sh_degree_at(moment, splats, config),
-            absgrad=any(part.wants_absgrad(moment) for part in parts),
-            weights=any(part.wants_weights(moment) for part in parts),
-        )
-        statistics = view_loss.StatisticsCache(0).get(0, lambda: target[top : top + rows])
-        loss = view_loss.target_loss(output.images[0], statistics, None, config.ssim_weight)
-        watch(moment, output)
-        loss.backward()
-        return float(loss.detach()), output.visible
+        shifted = Ks.clone()
+        shifted[moment.view, 1, 2] -= top
+        self._views = SimpleNamespace(images={moment.view: whole.images[moment.view][top : top + rows]}, weights=None)
+        self._Ks, self._statistics = shifted, view_loss.StatisticsCache(0)
+        try:
+            return backward(self, splats, moment, parts, watch)
+        finally:
+            self._views, self._Ks, self._statistics = whole, Ks, statistics
 
     with patch.object(ViewLoss, "backward", of_strip):
         yield
