@@ -41,16 +41,16 @@ _HALVINGS = 45
 
 WORTH = 2.0
 """How many times as long as joined models one that machines train together may take: by four
-devices, with as many views, it was 1.4, 0.3 and 0.2 dB better, corrected, on the town, caliterra
+devices, with as many views, it was 1.4, 0.6 and 0.6 dB better, corrected, on the town, caliterra
 and lewis (docs/experiments/together.md). In the town joined ones stay 1.0 dB behind one model of
 all also after three times the steps (docs/experiments/aggregation.md)."""
 MOST_VIEWS = 12
 """Views a step up to which that holds: by 12 the town is 0.9 dB ahead and caliterra 0.2 behind, by
 24, of sixteen devices, 400 photographs are 0.3 dB behind (docs/experiments/together.md)."""
 LEAST_LOOKS = 10
-"""Times that a training shows each photograph, from which on that holds: 12 looks at each of the
-town are enough, with 6 at each of 1,600 the model of eight devices fell apart
-(docs/experiments/together.md)."""
+"""Times that a training shows each photograph, from which on that holds: the town with 12 has 26.7
+dB. With 6 at each of 1,600 the model of eight devices fell apart, since it grew to more Gaussians
+than its steps can fit (docs/experiments/together.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
